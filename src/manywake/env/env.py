@@ -1,0 +1,182 @@
+"""The Gymnasium environments: a true batch of flows, and a single one, `manywake/CylinderJets-v0`."""
+
+import dataclasses
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from manywake.env.task import PRESSURE_LIMIT, TASKS, ControlledFlow, Outcome, Task
+from manywake.flow import baseline, case
+from manywake.flow.case import Case
+
+
+def settings(case_or_name: Case | str, task_or_name: Task | str, overrides: dict[str, Any]) -> tuple[Case, Task]:
+    """Return case and task with overrides of their fields applied; ValueError for a name that neither has."""
+    chosen = case.by_name(case_or_name) if isinstance(case_or_name, str) else case_or_name
+    if isinstance(task_or_name, str) and task_or_name not in TASKS:
+        raise ValueError(f"task: got {task_or_name!r}, wanted one of {', '.join(TASKS)}")
+    task = TASKS[task_or_name] if isinstance(task_or_name, str) else task_or_name
+    in_case = {f.name for f in dataclasses.fields(Case)}
+    in_task = {f.name for f in dataclasses.fields(Task)}
+    for name in overrides:
+        if name not in in_case | in_task:
+            raise ValueError(f"got the setting {name!r}, wanted one of {', '.join(sorted(in_case | in_task))}")
+    return (
+        dataclasses.replace(chosen, **{k: v for k, v in overrides.items() if k in in_case}),
+        dataclasses.replace(task, **{k: v for k, v in overrides.items() if k in in_task}),
+    )
+
+
+def _spaces(chosen: Case, task: Task) -> tuple[Box, Box]:
+    values = len(chosen.probes) * (2 if task.observation == "velocity" else 1)
+    return (
+        Box(-PRESSURE_LIMIT, PRESSURE_LIMIT, (values,), np.float32),
+        Box(-1.0, 1.0, (1,), np.float32),
+    )
+
+
+def _checked(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
+    array = np.asarray(actions, dtype=np.float64)
+    if array.shape != shape:
+        raise ValueError(f"action: got shape {array.shape}, wanted {shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(
+            f"action: got {array.ravel()[~np.isfinite(array).ravel()][0]}, wanted finite numbers in [-1, 1]"
+        )
+    return array[..., 0]
+
+
+class CylinderJetsVectorEnv(gymnasium.vector.VectorEnv):
+    """B controlled cylinder flows in one process, advanced together.
+
+    Observation (B, 151): pressures at the paper's probes. Action (B, 1) in [-1, 1]: the upper jet blows with flow
+    rate Q1 = 0.01 a, the lower with Q2 = -Q1. Reward: see `manywake.env.task.REWARDS`. The horizon is `truncated`;
+    a flow that blows up is `terminated` with a finite observation and a penalty. `info` has, for the last action,
+    c_d and c_l (means; C = 2F / (rho U-bar^2 D), drag positive downstream, lift positive up), jets (flow rates, blowing
+    positive), time and diverged.
+    """
+
+    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        case: Case | str = "cylinder-jets",
+        task: Task | str = "default",
+        autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
+        **overrides: Any,
+    ):
+        self.case, self.task = settings(case, task, overrides)
+        self.num_envs = num_envs
+        self.metadata = {**self.metadata, "autoreset_mode": AutoresetMode(autoreset_mode)}
+        self.single_observation_space, self.single_action_space = _spaces(self.case, self.task)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.task.steps(self.case.time_step)
+        ops, base = baseline.assembled(self.case)
+        self._flows = ControlledFlow(ops, base, self.task, num_envs)
+        self._ended = np.zeros(num_envs, dtype=bool)
+
+    def reset(self, *, seed=None, options: dict[str, Any] | None = None):
+        """Put all flows (or those of options["reset_mask"]) back to the start state."""
+        super().reset(seed=seed if not isinstance(seed, list) else seed[0], options=options)
+        mask = (options or {}).get("reset_mask")
+        columns = np.arange(self.num_envs) if mask is None else np.flatnonzero(np.asarray(mask, dtype=bool))
+        self._flows.reset(columns)
+        self._ended[columns] = False
+        return self._flows.observe(), self._info(None)
+
+    def step(self, actions):
+        """Advance every flow by one action interval; what happens at an episode's end is the autoreset mode's."""
+        action = _checked(actions, (self.num_envs, 1))
+        mode = self.metadata["autoreset_mode"]
+        if mode == AutoresetMode.DISABLED and self._ended.any():
+            raise ValueError(
+                f"step: flow {int(np.flatnonzero(self._ended)[0])} has ended; with autoreset disabled, call "
+                'reset(options={"reset_mask": ...}) first'
+            )
+        resetting = np.flatnonzero(self._ended) if mode == AutoresetMode.NEXT_STEP else np.empty(0, int)
+        outcome = self._flows.act(action)
+        if len(resetting):
+            self._flows.reset(resetting)
+            outcome = _cleared(outcome, resetting)
+        terminated, truncated = outcome.diverged.copy(), outcome.truncated.copy()
+        observation, info = self._flows.observe(), self._info(outcome)
+        self._ended = terminated | truncated
+        if mode == AutoresetMode.SAME_STEP and self._ended.any():
+            columns = np.flatnonzero(self._ended)
+            final = np.full(self.num_envs, None, dtype=object)
+            for column in columns:
+                final[column] = observation[column].copy()
+            final_info = {key: value.copy() for key, value in info.items()}
+            self._flows.reset(columns)
+            observation = self._flows.observe()
+            info = self._info(_cleared(outcome, columns))
+            info |= {"final_obs": final, "_final_obs": self._ended.copy()}
+            info |= {"final_info": final_info, "_final_info": self._ended.copy()}
+            self._ended = np.zeros(self.num_envs, dtype=bool)
+        return observation, outcome.reward.copy(), terminated, truncated, info
+
+    def _info(self, outcome: Outcome | None) -> dict[str, Any]:
+        n, flows = self.num_envs, self._flows
+        zero = np.zeros(n)
+        info: dict[str, Any] = {
+            "c_d": zero.copy() if outcome is None else outcome.c_d.copy(),
+            "c_l": zero.copy() if outcome is None else outcome.c_l.copy(),
+            "jets": np.stack([flows.control, -flows.control], axis=1),
+            "time": flows.actions * self.task.action_interval,
+            "diverged": np.zeros(n, dtype=bool) if outcome is None else outcome.diverged.copy(),
+        }
+        return info | {f"_{key}": np.ones(n, dtype=bool) for key in list(info)}
+
+
+def _cleared(outcome: Outcome, columns: np.ndarray) -> Outcome:
+    """Return the outcome with the given columns as just after a reset."""
+    parts = {}
+    for field in dataclasses.fields(Outcome):
+        parts[field.name] = getattr(outcome, field.name).copy()
+        parts[field.name][columns] = 0
+    return Outcome(**parts)
+
+
+class CylinderJetsEnv(gymnasium.Env):
+    """One controlled cylinder flow: `CylinderJetsVectorEnv` with a batch of one."""
+
+    metadata = {"render_modes": []}
+
+    def __init__(self, case: Case | str = "cylinder-jets", task: Task | str = "default", **overrides: Any):
+        self._batch = CylinderJetsVectorEnv(1, case, task, AutoresetMode.DISABLED, **overrides)
+        self.case, self.task = self._batch.case, self._batch.task
+        self.observation_space = self._batch.single_observation_space
+        self.action_space = self._batch.single_action_space
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """Return to the start state, the developed Karman street at an upward crossing of C_L."""
+        super().reset(seed=seed, options=options)
+        observation, info = self._batch.reset()
+        return observation[0], _single(info)
+
+    def step(self, action):
+        """Hold the action for one action interval."""
+        _checked(action, self.action_space.shape)
+        observation, reward, terminated, truncated, info = self._batch.step(np.asarray(action)[None])
+        return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), _single(info)
+
+
+def _single(info: dict[str, Any]) -> dict[str, Any]:
+    """Return the info of a batch of one without the batch axis."""
+    single = {key: value[0] for key, value in info.items() if not key.startswith("_")}
+    return {key: value.item() if value.ndim == 0 else value for key, value in single.items()}
+
+
+def register() -> None:
+    """Tell Gymnasium of `manywake/CylinderJets-v0`."""
+    gymnasium.register(
+        "manywake/CylinderJets-v0",
+        entry_point="manywake.env.env:CylinderJetsEnv",
+        vector_entry_point="manywake.env.env:CylinderJetsVectorEnv",
+    )

@@ -1,0 +1,242 @@
+"""What every run starts from: mesh, start state, time-mean flow, uncontrolled statistics. Shipped, cached or made."""
+
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from filelock import FileLock
+from platformdirs import user_cache_path
+
+from manywake.flow import mesh as meshes
+from manywake.flow import operators, sensors, space, steady
+from manywake.flow.batch import FlowBatch, Start
+from manywake.flow.case import CASES, Case
+from manywake.flow.mesh import Mesh
+from manywake.flow.operators import Operators
+from manywake.flow.sensors import Shedding
+
+FORMAT = 1
+MEAN_PERIODS = 12
+_CHUNK = 50
+_SAMPLE = 10
+
+Progress = Callable[[str, float], None]
+"""progress(what, share done): called now and then by work that takes long."""
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """The uncontrolled flow of one case.
+
+    start: the developed Karman street at an upward crossing of C_L. mean: (n, 2) velocity averaged over whole periods.
+    shedding: its statistics. cd_steady, cl_steady: C_D and C_L of the steady base flow, the drag that remains with
+    all shedding gone. All fields are in scikit-fem's order.
+    """
+
+    flow_digest: str
+    mesh: Mesh
+    start: Start
+    mean: np.ndarray
+    shedding: Shedding
+    cd_steady: float
+    cl_steady: float
+    recipe: str
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return everything but the description as named arrays."""
+        named = {f"start_{f.name}": getattr(self.start, f.name) for f in fields(Start)}
+        named |= {f"boundary_{name}": facets.astype(np.int32) for name, facets in self.mesh.boundaries.items()}
+        return named | {
+            "points": self.mesh.points,
+            "triangles": self.mesh.triangles.astype(np.int32),
+            "mean": self.mean,
+        }
+
+    def digest(self) -> str:
+        """Return the hash of the content: two baselines with the same digest start every run from the same bits."""
+        return space.digest(self.arrays())
+
+
+def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None) -> Baseline:
+    """Compute the baseline of a case: mesh it (unless given), spin up, average, and solve for the steady flow."""
+    report = progress or (lambda what, share: None)
+    report("mesh", 0.0)
+    mesh = meshes.build(case) if mesh is None else mesh
+    ops = operators.assemble(case, mesh)
+    flow = FlowBatch(ops, kicked(ops), 1)
+    steps = int(round(case.spin_up / case.time_step))
+    done, c_l = 0, np.zeros(0)
+    while done < steps:
+        c_l = np.concatenate([c_l, _run(flow, _CHUNK)[:, 1]])[-4000:]
+        done += _CHUNK
+        report("spin-up", done / steps)
+    # on to the next upward crossing of the middle of C_L, step by step: the start state has a defined phase
+    level = 0.5 * (c_l.max() + c_l.min())
+    previous = c_l[-1]
+    for _ in range(20000):
+        now = _run(flow, 1)[0, 1]
+        if previous < level <= now:
+            break
+        previous = now
+    else:
+        raise RuntimeError(f"baseline: C_L of case {case.name!r} does not oscillate; is the flow steady at this Re?")
+    start = flow.state(0)
+
+    estimate = sensors.shedding(c_l, c_l, case.time_step).period
+    wanted = int(round(MEAN_PERIODS * estimate / case.time_step / _SAMPLE)) * _SAMPLE
+    total, samples, series = np.zeros_like(start.u), 0, []
+    for k in range(0, wanted + 2 * _SAMPLE, _SAMPLE):
+        series.append(_run(flow, _SAMPLE))
+        if k < wanted:
+            total += flow.state(0).u
+            samples += 1
+        report("mean flow", k / wanted)
+    record = np.concatenate(series)
+    report("steady flow", 0.0)
+    base = steady.solve(case, ops.space)
+    recipe = (
+        f"format {FORMAT}; kicked rest, {done + 1}+ steps of {case.time_step:g} ({case.scheme.name}), stopped at an upward "
+        f"crossing of C_L; mean over {MEAN_PERIODS} periods, every {_SAMPLE}th step; steady flow by Newton"
+    )
+    return Baseline(
+        case.flow_digest(),
+        mesh,
+        start,
+        total / samples,
+        sensors.shedding(record[:, 0], record[:, 1], case.time_step),
+        base.c_d,
+        base.c_l,
+        recipe,
+    )
+
+
+def _run(flow: FlowBatch, steps: int) -> np.ndarray:
+    """Advance a single uncontrolled flow; return (steps, 2) C_D and C_L."""
+    return flow.advance(np.zeros((steps, len(flow.ops.case.jets), 1)))[:, :, 0]
+
+
+def kicked(ops: Operators) -> Start:
+    """Return fluid at rest but for an upward gust behind the cylinder, so that shedding sets in at once."""
+    x, y = ops.space.x.T
+    n, m = len(x), ops.space.pressure_stiffness.shape[0]
+    u = np.zeros((n, 2))
+    u[:, 1] = 0.3 * np.exp(-((x - 0.15) ** 2 + y**2) / 0.05**2)
+    u[ops.velocity_order[ops.free :]] = 0.0
+    return Start(u, u.copy(), np.zeros(m), np.zeros(m), np.zeros(m))
+
+
+def phases(ops: Operators, baseline: Baseline, count: int) -> list[Start]:
+    """Return `count` states of the uncontrolled flow, spread evenly over one shedding period from the start state."""
+    flow = FlowBatch(ops, baseline.start, 1)
+    period = baseline.shedding.period / ops.case.time_step
+    states, done = [], 0
+    for k in range(count):
+        wanted = int(round(k * period / count))
+        if wanted > done:
+            _run(flow, wanted - done)
+            done = wanted
+        states.append(flow.state(0))
+    return states
+
+
+def save(baseline: Baseline, path: Path) -> None:
+    """Write a baseline atomically: either the whole file is there or none."""
+    description = {
+        "flow_digest": baseline.flow_digest,
+        "digest": baseline.digest(),
+        "shedding": asdict(baseline.shedding),
+        "cd_steady": baseline.cd_steady,
+        "cl_steady": baseline.cl_steady,
+        "recipe": baseline.recipe,
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez_compressed(file, description=np.array(json.dumps(description)), **baseline.arrays())
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def load(path: Path) -> Baseline:
+    """Read a baseline; ValueError when its content is not what its hash says."""
+    with np.load(path, allow_pickle=False) as data:
+        description = json.loads(str(data["description"]))
+        boundaries = {
+            key.removeprefix("boundary_"): data[key].astype(np.int64) for key in data.files if key.startswith("bound")
+        }
+        baseline = Baseline(
+            description["flow_digest"],
+            Mesh(data["points"], data["triangles"].astype(np.int64), boundaries),
+            Start(**{f.name: data[f"start_{f.name}"] for f in fields(Start)}),
+            data["mean"],
+            Shedding(**description["shedding"]),
+            description["cd_steady"],
+            description["cl_steady"],
+            description["recipe"],
+        )
+    if baseline.digest() != description["digest"]:
+        raise ValueError(f"baseline: the content of {path} does not match its hash; delete the file and run again")
+    return baseline
+
+
+def shipped_path(case: Case) -> Path:
+    """Return where the package keeps the baseline of a case of this name."""
+    return Path(str(files("manywake") / "data" / f"{case.name}.npz"))
+
+
+def cache_path(case: Case) -> Path:
+    """Return where the user's cache keeps the baseline of this case."""
+    return user_cache_path("manywake") / "baselines" / f"{case.flow_digest()[:32]}.npz"
+
+
+@lru_cache(maxsize=2)
+def get(case: Case, progress: Progress | None = None) -> Baseline:
+    """Return the baseline of a case: the shipped one, else the cached one, else one made now and cached.
+
+    Safe when two processes want it at once: one makes it, the other waits and reads it. A geometry that a shipped
+    case has already is not meshed again.
+    """
+    for name in CASES:
+        path = shipped_path(CASES[name])
+        if CASES[name].flow_digest() == case.flow_digest() and path.exists():
+            return load(path)
+    path = cache_path(case)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(str(path) + ".lock")
+        with lock:
+            if not path.exists():
+                save(make(case, _shipped_mesh(case), progress), path)
+    except OSError as error:
+        raise RuntimeError(
+            f"cache: cannot write {path.parent} ({error}); wanted a folder to keep the start state of case "
+            f"{case.name!r} in; make it writable or set XDG_CACHE_HOME to one that is"
+        ) from error
+    return load(path)
+
+
+def _shipped_mesh(case: Case) -> Mesh | None:
+    def geometry(c: Case) -> tuple:
+        return c.jets, c.resolution, c.radius, c.x_range, c.y_range
+
+    for other in CASES.values():
+        if geometry(other) == geometry(case) and shipped_path(other).exists():
+            return load(shipped_path(other)).mesh
+    return None
+
+
+@lru_cache(maxsize=2)
+def assembled(case: Case) -> tuple[Operators, Baseline]:
+    """Return the operators and the baseline of a case, kept for the life of the process."""
+    base = get(case)
+    return operators.assemble(case, base.mesh), base

@@ -1,0 +1,163 @@
+"""A case: geometry, fluid, jets, probes and numerics of one flow, as plain frozen data.
+
+Units are those of the paper's code: the mean inflow velocity is 1, the density is 1, the cylinder's diameter is 0.1
+and its centre is the origin. Times are therefore in units of 0.1 D/U-bar. Values: the DFG benchmark (Schafer & Turek
+1996) with the jets and probes of Rabault & Kuhnle (2019).
+"""
+
+import dataclasses
+import hashlib
+import json
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+RADIUS = 0.05
+
+
+def paper_probes() -> tuple[tuple[float, float], ...]:
+    """Return the positions (x, y) of the paper's 151 probes, in the order of its observation vector."""
+    wake = [
+        (x, y)
+        for x in (0.075, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45)
+        for y in (-0.15, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15)
+    ]
+    beside = [(x, y) for x in (-0.025, 0.0, 0.025, 0.05) for y in (-0.15, -0.1, 0.1, 0.15)]
+    rings = [
+        (r * math.cos(math.radians(angle)), r * math.sin(math.radians(angle)))
+        for r in (RADIUS + 0.02, RADIUS + 0.05)
+        for angle in range(0, 360, 10)
+    ]
+    # ten digits: the same on every libm
+    return tuple((round(x, 10), round(y, 10)) for x, y in wake + beside + rings)
+
+
+@dataclass(frozen=True)
+class Jet:
+    """One jet on the cylinder; its flow rate Q blows for Q > 0 and sucks for Q < 0."""
+
+    angle: float
+    """Centre of the jet on the cylinder, in degrees from the downstream direction."""
+    width: float = 10.0
+    """Angular width in degrees (paper, section 2.1)."""
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """Sizes of the triangles, in the unit of length (D = 0.1)."""
+
+    cylinder: float = 0.008
+    """On the cylinder."""
+    wake: float = 0.02
+    """Within half a unit behind the cylinder."""
+    far: float = 0.06
+    """At the end of the channel."""
+    jet_facets: int = 2
+    """Facets across a jet; two resolve its flux to 0.1 % before scaling, one to 4 %."""
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """Coefficients of the time stepping, docs/numerics.md eq. 4-7; the names below are the ones to use."""
+
+    name: str
+    new: float
+    """Weight of u at t + dt in the time derivative."""
+    history: tuple[float, float]
+    """Minus the weights of u at t and t - dt in the time derivative."""
+    extrapolation: tuple[float, float]
+    """Weights of u at t and t - dt in the velocity that is advected explicitly."""
+    pressure: tuple[float, float]
+    """Weights of the last two pressure increments in the pressure of the momentum equation."""
+    implicit: float
+    """Share of the viscous term taken at t + dt."""
+
+
+BDF2 = Scheme("bdf2", 1.5, (2.0, -0.5), (2.0, -1.0), (4 / 3, -1 / 3), 1.0)
+"""Second order: BDF2 with extrapolated explicit convection. The default."""
+GODA = Scheme("goda", 1.0, (1.0, 0.0), (1.0, 0.0), (1.0, 0.0), 0.5)
+"""The paper's first-order scheme: forward Euler convection, Crank-Nicolson viscosity (Goda 1979)."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A flow around a cylinder in a channel, with jets on the cylinder and probes in the wake.
+
+    Raises ValueError at construction when a setting is outside what the solver can do, with the remedy.
+    """
+
+    name: str
+    reynolds: float = 100.0
+    """Re = U-bar D / nu with U-bar the mean inflow velocity."""
+    jets: tuple[Jet, ...] = (Jet(90.0), Jet(270.0))
+    probes: tuple[tuple[float, float], ...] = field(default_factory=paper_probes)
+    time_step: float = 5e-4
+    scheme: Scheme = BDF2
+    resolution: Resolution = Resolution()
+    radius: float = RADIUS
+    x_range: tuple[float, float] = (-0.2, 2.0)
+    y_range: tuple[float, float] = (-0.2, 0.21)
+    spin_up: float = 16.0
+    """Time from a kicked rest to the developed Karman street, whose peaks have then settled to five digits."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.reynolds <= 400:
+            raise ValueError(
+                f"reynolds: got {self.reynolds:g}, wanted a value in (0, 400]; the flow is two-dimensional, "
+                "laminar, and the shipped resolution is made for about 100"
+            )
+        if not 0 < self.time_step <= 6e-4:
+            raise ValueError(
+                f"time_step: got {self.time_step:g}, wanted a value in (0, 6e-4]; explicit convection is unstable "
+                "above, on every mesh tried"
+            )
+        for i, (x, y) in enumerate(self.probes):
+            inside = self.x_range[0] <= x <= self.x_range[1] and self.y_range[0] <= y <= self.y_range[1]
+            if not inside or math.hypot(x, y) < self.radius:
+                where = "inside the cylinder" if inside else "outside the channel"
+                raise ValueError(f"probe {i}: got ({x:g}, {y:g}), which is {where}; wanted a point in the fluid")
+
+    @property
+    def diameter(self) -> float:
+        return 2 * self.radius
+
+    @property
+    def height(self) -> float:
+        return self.y_range[1] - self.y_range[0]
+
+    @property
+    def viscosity(self) -> float:
+        return self.diameter / self.reynolds
+
+    def inflow(self, y: np.ndarray) -> np.ndarray:
+        """Return the inflow velocity at `y`: a parabola of mean 1 and maximum 1.5."""
+        low, high = self.y_range
+        return 6.0 * (y - low) * (high - y) / self.height**2
+
+    def settings(self) -> dict[str, Any]:
+        """Return all settings as plain data, for files and hashes."""
+        return dataclasses.asdict(self)
+
+    def flow_digest(self) -> str:
+        """Return a hash of all that decides the uncontrolled flow: the settings but for the name and the probes."""
+        flow = {key: value for key, value in self.settings().items() if key not in ("name", "probes")}
+        return hashlib.sha256(json.dumps(flow, sort_keys=True).encode()).hexdigest()
+
+
+CASES: dict[str, Case] = {
+    case.name: case
+    for case in (
+        Case("cylinder-jets"),
+        Case("cylinder-jets-goda", scheme=GODA),
+    )
+}
+"""The shipped cases by name: the paper's geometry with the default scheme, and with the paper's scheme."""
+
+
+def by_name(name: str) -> Case:
+    """Return a shipped case; ValueError names those there are."""
+    if name not in CASES:
+        raise ValueError(f"case: got {name!r}, wanted one of {', '.join(sorted(CASES))}")
+    return CASES[name]

@@ -1,0 +1,274 @@
+"""Everything a time step multiplies with or solves by: assembled once per case and mesh, shared by all flows.
+
+Inside, velocity nodes are renumbered: the free ones first, in the elimination order of the momentum matrix, then
+those on Dirichlet boundaries; pressure nodes likewise. So the factors need no permutation while stepping.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+import skfem
+from scipy.sparse.linalg import splu
+
+from manywake.flow import space as spaces
+from manywake.flow.case import Case
+from manywake.flow.mesh import Mesh
+from manywake.flow.space import Space
+
+
+class Rows(NamedTuple):
+    """A sparse matrix by rows. value: (nnz,), or (nnz, 2) for one number per velocity component."""
+
+    start: np.ndarray
+    column: np.ndarray
+    value: np.ndarray
+
+
+class Factors(NamedTuple):
+    """L D U with unit triangles L, U (strict parts stored) and the inverse of D."""
+
+    lower: Rows
+    upper: Rows
+    inverse_diagonal: np.ndarray
+
+
+class Tables(NamedTuple):
+    """The arrays the compiled time loop reads. Coefficients of the scheme stand in `numbers`."""
+
+    nodes: np.ndarray
+    inverse: np.ndarray
+    history: Rows
+    gradient: Rows
+    momentum: Factors
+    divergence: Rows
+    poisson: Factors
+    fixed: np.ndarray
+    lift: np.ndarray
+    jet_lift_rows: np.ndarray
+    jet_lift: np.ndarray
+    jet_rows: np.ndarray
+    jet_profile: np.ndarray
+    body: np.ndarray
+    force_new: Rows
+    force_history: Rows
+    force_pressure: Rows
+    jet_thrust: np.ndarray
+    numbers: np.ndarray
+
+
+@dataclass(frozen=True)
+class Operators:
+    """What `assemble` makes of a case and a mesh.
+
+    velocity_order, pressure_order: numbers of scikit-fem's nodes in the solver's order. free: count of free velocity
+    nodes. jet_flux_error: relative flux error of each jet's interpolated profile before it is scaled to the exact
+    flux. probe_pressure: (probes, m), probe_velocity: (probes, n), acting on the solver's order.
+    """
+
+    case: Case
+    space: Space
+    tables: Tables
+    velocity_order: np.ndarray
+    pressure_order: np.ndarray
+    free: int
+    jet_flux_error: np.ndarray
+    probe_pressure: Rows
+    probe_velocity: Rows
+
+    @property
+    def digest(self) -> str:
+        """Hash of every number a step uses."""
+        arrays = {}
+        for name, part in self.tables._asdict().items():
+            for k, array in enumerate(_flatten(part)):
+                arrays[f"{name}{k}"] = array
+        return spaces.digest(arrays)
+
+
+def _flatten(part) -> list[np.ndarray]:
+    return [part] if isinstance(part, np.ndarray) else [array for child in part for array in _flatten(child)]
+
+
+def assemble(case: Case, mesh: Mesh) -> Operators:
+    """Assemble and factor the operators of `case` on `mesh` (docs/numerics.md, eq. 4-13)."""
+    space = spaces.build(mesh)
+    jet_names = [f"jet{i}" for i in range(len(case.jets))]
+    body_names = ["cylinder", *jet_names]
+    nodes_fixed = space.boundary_nodes(["wall", "inlet", *body_names])
+    inflow = np.zeros_like(space.x)
+    inlet = space.boundary_nodes(["inlet"])
+    inflow[inlet, 0] = case.inflow(space.x[inlet, 1])
+    profiles, flux_error, thrust = jet_profiles(case, space)
+    return from_boundary_data(
+        case,
+        space,
+        nodes_fixed,
+        inflow,
+        profiles,
+        body=space.boundary_nodes(body_names),
+        pressure_fixed=space.boundary_vertices("outlet"),
+        jet_flux_error=flux_error,
+        jet_thrust=thrust,
+    )
+
+
+def jet_profiles(case: Case, space: Space) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the velocity of each jet at unit flow rate, the flux error before scaling, and the thrust.
+
+    profiles: (jets, n, 2), radial, cosine across the jet (REFERENCE: A = Q pi / (2 w R^2) cos(pi (theta - theta0)/w)),
+    scaled so that the flux through the jet's facets is exactly 1. thrust: (jets, 2), the integral of u (u . n).
+    """
+    profiles = np.zeros((len(case.jets), *space.x.shape))
+    error, thrust = np.zeros(len(case.jets)), np.zeros((len(case.jets), 2))
+    for i, jet in enumerate(case.jets):
+        nodes = space.boundary_nodes([f"jet{i}"])
+        theta0, w = np.radians(jet.angle), np.radians(jet.width)
+        x = space.x[nodes]
+        theta = np.angle(np.exp(1j * (np.arctan2(x[:, 1], x[:, 0]) - theta0)))
+        shape = np.maximum(np.cos(np.pi * theta / w), 0.0) * np.pi / (2 * w * case.radius)
+        shape[abs(abs(theta) - w / 2) < 1e-9] = 0.0
+        profiles[i, nodes] = shape[:, None] * x / np.linalg.norm(x, axis=1)[:, None]
+        flux, _ = boundary_flux(space, space.facets(f"jet{i}"), profiles[i])
+        error[i] = flux - 1.0
+        profiles[i] /= flux
+        _, thrust[i] = boundary_flux(space, space.facets(f"jet{i}"), profiles[i])
+    return profiles, error, thrust
+
+
+def boundary_flux(space: Space, facets: np.ndarray, velocity: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the volume flux into the fluid through facets, and the integral of u (u . n), n out of the fluid."""
+    basis = skfem.FacetBasis(space.velocity.mesh, skfem.ElementTriP2(), facets=facets, intorder=6)
+    u = basis.interpolate(velocity[:, 0]), basis.interpolate(velocity[:, 1])
+    normal = u[0] * basis.normals[0] + u[1] * basis.normals[1]
+    momentum = np.array([np.sum(component * normal * basis.dx) for component in u])
+    return -float(np.sum(normal * basis.dx)), momentum
+
+
+def from_boundary_data(
+    case: Case,
+    space: Space,
+    fixed: np.ndarray,
+    steady: np.ndarray,
+    profiles: np.ndarray,
+    *,
+    body: np.ndarray,
+    pressure_fixed: np.ndarray,
+    jet_flux_error: np.ndarray,
+    jet_thrust: np.ndarray,
+) -> Operators:
+    """Assemble for any Dirichlet data of the form steady + sum over jets of Q_j(t) profile_j.
+
+    fixed: velocity nodes with Dirichlet data. steady: (n, 2), profiles: (jets, n, 2), zero away from `fixed`.
+    body: nodes whose momentum residual is the force. pressure_fixed: pressure nodes held at zero.
+    """
+    scheme, dt, nu = case.scheme, case.time_step, case.viscosity
+    n, m = space.mass.shape[0], space.pressure_stiffness.shape[0]
+    M, K = space.mass, space.stiffness
+    A = scheme.new / dt * M + scheme.implicit * nu * K
+    R = M / dt - (1 - scheme.implicit) * nu * K
+
+    free = np.setdiff1d(np.arange(n), fixed)
+    factors, order = factor(A[free][:, free])
+    free = free[order]
+    velocity_order = np.concatenate([free, fixed])
+    p_free = np.setdiff1d(np.arange(m), pressure_fixed)
+    poisson, order = factor(space.pressure_stiffness[p_free][:, p_free])
+    p_free = p_free[order]
+    pressure_order = np.concatenate([p_free, pressure_fixed])
+
+    place = np.empty(n, int)
+    place[velocity_order] = np.arange(n)
+    Bx, By = space.divergence
+    to_new = sp.csr_matrix(A[free])
+    values = np.stack([steady, *profiles]) if len(profiles) else steady[None]
+    lifts = np.stack([np.stack([to_new @ value[:, c] for c in range(2)], axis=1) for value in values])
+    jet_rows = np.flatnonzero(abs(profiles).max(axis=(0, 2), initial=0.0)[velocity_order])
+    jet_lift_rows = np.flatnonzero(abs(lifts[1:]).max(axis=(0, 2), initial=0.0))
+    lift = np.zeros((n, 2))
+    lift[: len(free)] = -lifts[0]
+
+    test = np.zeros(n)
+    test[body] = 1.0
+    force_pressure = _pair(*(sp.csr_matrix((B @ test)[None, pressure_order]) for B in (Bx, By)))
+    tables = Tables(
+        nodes=place[space.nodes[_locality(space, place)]].astype(np.uint32),
+        inverse=np.ascontiguousarray(space.inverse[_locality(space, place)]),
+        history=_rows(R[free][:, velocity_order]),
+        gradient=_pair(*(B[:, free][pressure_order].T for B in (Bx, By))),
+        momentum=factors,
+        divergence=_pair(*(-scheme.new / dt * B[p_free][:, velocity_order] for B in (Bx, By))),
+        poisson=poisson,
+        fixed=steady[fixed],
+        lift=lift,
+        jet_lift_rows=jet_lift_rows.astype(np.uint32),
+        jet_lift=np.ascontiguousarray(-lifts[1:, jet_lift_rows]),
+        jet_rows=jet_rows.astype(np.uint32),
+        jet_profile=np.ascontiguousarray(profiles[:, velocity_order[jet_rows]]),
+        body=np.sort(place[body]).astype(np.uint32),
+        force_new=_same(sp.csr_matrix((A.T @ test)[None, velocity_order])),
+        force_history=_same(sp.csr_matrix((R.T @ test)[None, velocity_order])),
+        force_pressure=force_pressure,
+        jet_thrust=jet_thrust,
+        numbers=np.array([*scheme.history, *scheme.extrapolation, *scheme.pressure, 2.0 / case.diameter]),
+    )
+    points = np.array(case.probes).reshape(-1, 2)
+    return Operators(
+        case,
+        space,
+        tables,
+        velocity_order,
+        pressure_order,
+        len(free),
+        jet_flux_error,
+        _rows(spaces.probe_matrix(space.pressure, points)[:, pressure_order]),
+        _rows(spaces.probe_matrix(space.velocity, points)[:, velocity_order]),
+    )
+
+
+def factor(matrix: sp.spmatrix) -> tuple[Factors, np.ndarray]:
+    """Factor a matrix of symmetric structure as L D U after a fill-reducing permutation, returned with it.
+
+    SuperLU in symmetric mode with a minimum-degree ordering, no pivoting: the matrices are positive definite.
+    """
+    lu = splu(
+        sp.csc_matrix(matrix),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    if not np.array_equal(lu.perm_r, lu.perm_c):
+        raise RuntimeError("factor: SuperLU pivoted, so the matrix is not positive definite; check mesh and viscosity")
+    order = np.argsort(lu.perm_c)
+    diagonal = lu.U.diagonal()
+    lower = _rows(sp.tril(lu.L, -1))
+    upper = _rows(sp.diags(1.0 / diagonal) @ sp.triu(lu.U, 1))
+    return Factors(lower, upper, 1.0 / diagonal), order
+
+
+def _locality(space: Space, place: np.ndarray) -> np.ndarray:
+    """Return the order of elements that follows the solver's numbering of their nodes, for the cache's sake."""
+    return np.argsort(np.median(place[space.nodes], axis=1), kind="stable")
+
+
+def _rows(matrix: sp.spmatrix) -> Rows:
+    matrix = sp.csr_matrix(matrix)
+    matrix.eliminate_zeros()
+    matrix.sort_indices()
+    return Rows(matrix.indptr.astype(np.uint32), matrix.indices.astype(np.uint32), matrix.data)
+
+
+def _pair(x: sp.spmatrix, y: sp.spmatrix) -> Rows:
+    """Merge two matrices, one per velocity component, over the union of their entries."""
+    x, y = sp.csr_matrix(x), sp.csr_matrix(y)
+    union = sp.csr_matrix(abs(x).sign() + abs(y).sign())
+    union.sort_indices()
+    row = np.repeat(np.arange(union.shape[0]), np.diff(union.indptr))
+    value = np.stack([np.asarray(part[row, union.indices]).ravel() for part in (x, y)], axis=1)
+    return Rows(union.indptr.astype(np.uint32), union.indices.astype(np.uint32), np.ascontiguousarray(value))
+
+
+def _same(matrix: sp.csr_matrix) -> Rows:
+    rows = _rows(matrix)
+    return rows._replace(value=np.ascontiguousarray(np.stack([rows.value, rows.value], axis=1)))

@@ -1,0 +1,88 @@
+"""What is measured: pressure and velocity at the probes, recirculation area, and statistics of a force signal."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from manywake.flow import simd
+from manywake.flow.kernels import product
+from manywake.flow.operators import Operators
+from manywake.flow.stepper import State
+
+
+def pressure(ops: Operators, state: State) -> np.ndarray:
+    """Return the pressure at the probes, (lanes, probes), in units of rho U-bar^2."""
+    return _read(ops.probe_pressure, state.p, 0)
+
+
+def velocity(ops: Operators, state: State) -> np.ndarray:
+    """Return the velocity at the probes, (lanes, 2 probes), ordered u0, v0, u1, v1, ..."""
+    parts = [_read(ops.probe_velocity, state.u, c) for c in range(2)]
+    return np.stack(parts, axis=2).reshape(parts[0].shape[0], -1)
+
+
+OBSERVATIONS = {"pressure": pressure, "velocity": velocity}
+"""The observations a task can name."""
+
+
+def _read(rows, x: np.ndarray, component: int) -> np.ndarray:
+    width = simd.numbers(x).shape[-1]
+    out = simd.zeros((len(rows.start) - 1, 1), width)
+    product(*rows, x, component, out)
+    return np.ascontiguousarray(simd.numbers(out)[:, 0].T)
+
+
+def recirculation_area(ops: Operators, u: np.ndarray) -> float:
+    """Return the summed area of triangles with at least one node where u_x < 0, for one velocity field (n, 2).
+
+    As in the released code of the paper: no threshold, no restriction to the wake. `u` is in scikit-fem's order.
+    """
+    space = ops.space
+    area = 0.5 * np.abs(space.inverse[:, 0] * space.inverse[:, 3] - space.inverse[:, 1] * space.inverse[:, 2])
+    return float(area[(u[space.nodes, 0] < 0).any(axis=1)].sum())
+
+
+@dataclass(frozen=True)
+class Shedding:
+    """Statistics of C_D and C_L over whole shedding periods; C = 2F / (rho U-bar^2 D)."""
+
+    cd_mean: float
+    cd_max: float
+    cd_min: float
+    cl_mean: float
+    cl_max: float
+    cl_min: float
+    cl_rms: float
+    period: float
+    periods: int
+
+    @property
+    def strouhal(self) -> float:
+        """St = D / (U-bar T), with D = 0.1."""
+        return 0.1 / self.period
+
+
+def shedding(c_d: np.ndarray, c_l: np.ndarray, time_step: float) -> Shedding:
+    """Return the statistics of a signal (steps,) between its first and last upward crossing of C_L's mean.
+
+    cl_rms is the root mean square about zero. Raises ValueError when there are fewer than two whole periods.
+    """
+    level = 0.5 * (c_l.max() + c_l.min())
+    above = c_l >= level
+    up = np.flatnonzero(~above[:-1] & above[1:])
+    if len(up) < 3:
+        raise ValueError(f"shedding: got {max(len(up) - 1, 0)} whole periods, wanted at least 2; record for longer")
+    crossing = up + (level - c_l[up]) / (c_l[up + 1] - c_l[up])
+    first, last = int(up[0]) + 1, int(up[-1]) + 1
+    d, lift = c_d[first:last], c_l[first:last]
+    return Shedding(
+        float(d.mean()),
+        float(d.max()),
+        float(d.min()),
+        float(lift.mean()),
+        float(lift.max()),
+        float(lift.min()),
+        float(np.sqrt(np.mean(lift**2))),
+        float((crossing[-1] - crossing[0]) / (len(up) - 1) * time_step),
+        len(up) - 1,
+    )
