@@ -1,0 +1,1 @@
+"""The control task on a flow, and its Gymnasium environments."""

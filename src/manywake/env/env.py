@@ -31,7 +31,8 @@ def settings(case_or_name: Case | str, task_or_name: Task | str, overrides: dict
     )
 
 
-def _spaces(chosen: Case, task: Task) -> tuple[Box, Box]:
+def spaces(chosen: Case, task: Task) -> tuple[Box, Box]:
+    """Return the observation and the action space of a single flow."""
     values = len(chosen.probes) * (2 if task.observation == "velocity" else 1)
     return (
         Box(-PRESSURE_LIMIT, PRESSURE_LIMIT, (values,), np.float32),
@@ -73,7 +74,7 @@ class CylinderJetsVectorEnv(gymnasium.vector.VectorEnv):
         self.case, self.task = settings(case, task, overrides)
         self.num_envs = num_envs
         self.metadata = {**self.metadata, "autoreset_mode": AutoresetMode(autoreset_mode)}
-        self.single_observation_space, self.single_action_space = _spaces(self.case, self.task)
+        self.single_observation_space, self.single_action_space = spaces(self.case, self.task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.task.steps(self.case.time_step)
@@ -139,7 +140,7 @@ def _cleared(outcome: Outcome, columns: np.ndarray) -> Outcome:
     parts = {}
     for field in dataclasses.fields(Outcome):
         parts[field.name] = getattr(outcome, field.name).copy()
-        parts[field.name][columns] = 0
+        parts[field.name][..., columns] = 0
     return Outcome(**parts)
 
 

@@ -157,14 +157,20 @@ class ControlledFlow:
         reward = self._reward(c_d, c_l, self.cd_uncontrolled)
         # a flow that blows up is charged twice the uncontrolled drag to the end of its episode: it never pays
         left = self.task.actions_per_episode - self.actions + 1
-        charge = left * self._reward(np.float64(2 * self.cd_uncontrolled), np.float64(0.0), self.cd_uncontrolled)
+        charge = left * self._reward(np.array(2 * self.cd_uncontrolled), np.array(0.0), self.cd_uncontrolled)
         truncated = (self.actions >= self.task.actions_per_episode) & ~diverged
-        return Outcome(np.where(diverged, charge, reward), c_d, c_l, self.control.copy(), diverged, truncated)
+        reward = np.where(diverged, charge, reward)
+        return Outcome(reward, c_d, c_l, self.control.copy(), diverged, truncated, coefficients, series)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one action brought, each (B,): reward, mean C_D and C_L over it, flow rate of the first jet at its end."""
+    """What one action brought.
+
+    reward, c_d, c_l, jet, diverged, truncated: (B,), with C_D and C_L averaged over the action and the flow rate of the
+    first jet at its end. coefficients: (steps, 2, B), C_D and C_L of every solver step. jets: (steps, B), the first
+    jet's flow rate.
+    """
 
     reward: np.ndarray
     c_d: np.ndarray
@@ -172,6 +178,8 @@ class Outcome:
     jet: np.ndarray
     diverged: np.ndarray
     truncated: np.ndarray
+    coefficients: np.ndarray
+    jets: np.ndarray
 
 
 def _means(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

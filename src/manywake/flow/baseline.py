@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from filelock import FileLock
@@ -101,8 +102,8 @@ def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None)
     report("steady flow", 0.0)
     base = steady.solve(case, ops.space)
     recipe = (
-        f"format {FORMAT}; kicked rest, {done + 1}+ steps of {case.time_step:g} ({case.scheme.name}), stopped at an upward "
-        f"crossing of C_L; mean over {MEAN_PERIODS} periods, every {_SAMPLE}th step; steady flow by Newton"
+        f"format {FORMAT}; kicked rest, over {done} steps of {case.time_step:g} ({case.scheme.name}), stopped at an "
+        f"upward crossing of C_L; mean over {MEAN_PERIODS} periods, every {_SAMPLE}th step; steady flow by Newton"
     )
     return Baseline(
         case.flow_digest(),
@@ -159,7 +160,8 @@ def save(baseline: Baseline, path: Path) -> None:
     handle, name = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
     try:
         with os.fdopen(handle, "wb") as file:
-            np.savez_compressed(file, description=np.array(json.dumps(description)), **baseline.arrays())
+            named: dict[str, Any] = {"description": np.array(json.dumps(description)), **baseline.arrays()}
+            np.savez_compressed(file, **named)
         os.chmod(name, 0o644)
         os.replace(name, path)
     except BaseException:

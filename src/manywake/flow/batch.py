@@ -98,7 +98,7 @@ def _write(ops: Operators, state: State, lane: int, start: Start) -> None:
 
 def read_state(ops: Operators, state: State, lane: int) -> Start:
     """Return one lane of a block as a `Start`."""
-    parts = {}
+    parts: dict[str, np.ndarray] = {}
     for name in ("u", "u_old"):
         parts[name] = np.empty((len(ops.velocity_order), 2))
         parts[name][ops.velocity_order] = simd.numbers(getattr(state, name))[:, :, lane]

@@ -5,12 +5,14 @@ and each has its slow, obvious twin in tests/naive.py. Sparse rows are (`start`,
 A velocity array is (n, 2) rows of lanes, a pressure array (m, 1). Equation numbers: docs/numerics.md.
 """
 
+from typing import Any
+
 import numba
 import numpy as np
 
 from manywake.flow.simd import fma, load, mul, splat, store
 
-kernel = numba.njit(error_model="numpy", nogil=True, cache=True)
+kernel: Any = numba.njit(error_model="numpy", nogil=True, cache=True)
 
 
 def _quadrature() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -173,7 +175,7 @@ def pressure_solve(d_start, d_column, d_value, u, l_start, l_column, l_value, u_
 
 @kernel
 def product(start, column, value, x, component, out):
-    """out (rows, 1) = sparse matrix times one component of x."""
+    """Out (rows, 1) = sparse matrix times one component of x."""
     for i in range(len(start) - 1):
         s = splat(0.0, out)
         for k in range(start[i], start[i + 1]):

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import skfem
 
 from manywake.flow import simd
 from manywake.flow.kernels import product
@@ -86,3 +87,25 @@ def shedding(c_d: np.ndarray, c_l: np.ndarray, time_step: float) -> Shedding:
         float((crossing[-1] - crossing[0]) / (len(up) - 1) * time_step),
         len(up) - 1,
     )
+
+
+def surface_force(ops: Operators, u: np.ndarray, p: np.ndarray) -> tuple[float, float]:
+    """Return C_D and C_L of one flow, u (n, 2) and p (m,) in scikit-fem's order, by the integral over the surface.
+
+    Force on the body = -integral of (sigma n - u (u . n)) over cylinder and jets, n out of the fluid (the jets'
+    momentum flux included, rho = 1). Slopes of P2 and P1 pressure on the surface are less accurate than the momentum
+    residual that the time loop uses (docs/numerics.md, eq. 13): this is its check, not another choice.
+    """
+    space, nu = ops.space, ops.case.viscosity
+    names = ["cylinder", *(f"jet{i}" for i in range(len(ops.case.jets)))]
+    facets = np.concatenate([space.facets(name) for name in names])
+    basis = skfem.FacetBasis(space.velocity.mesh, skfem.ElementTriP2(), facets=facets, intorder=4)
+    a, b = (basis.interpolate(u[:, c]) for c in range(2))
+    q = basis.with_element(skfem.ElementTriP1()).interpolate(p)
+    nx, ny = basis.normals
+    flux = a * nx + b * ny
+    shear = nu * (a.grad[1] + b.grad[0])
+    x = 2 * nu * a.grad[0] * nx + shear * ny - q * nx - a * flux
+    y = shear * nx + 2 * nu * b.grad[1] * ny - q * ny - b * flux
+    scale = -2.0 / ops.case.diameter
+    return float(scale * np.sum(x * basis.dx)), float(scale * np.sum(y * basis.dx))

@@ -118,7 +118,7 @@ def splat(typingctx, number, like):
 
 @intrinsic
 def fma(typingctx, a, b, c):
-    """a * b + c with one rounding; `a` may be a number."""
+    """A * b + c with one rounding; `a` may be a number."""
     width = b.width
 
     def codegen(context, builder, signature, args):
@@ -153,3 +153,17 @@ def _binary(operation: str, doc: str):
 add = _binary("fadd", "a + b; `a` may be a number.")
 sub = _binary("fsub", "a - b; `a` may be a number.")
 mul = _binary("fmul", "a * b; `a` may be a number.")
+
+
+@intrinsic
+def maximum(typingctx, a, b):
+    """The larger of a and b, lane by lane; `a` may be a number. A NaN in `b` stays."""
+    width = b.width
+
+    def codegen(context, builder, signature, args):
+        left, right = (
+            _as_vector(context, builder, value, t, width) for value, t in zip(args, signature.args, strict=True)
+        )
+        return builder.select(builder.fcmp_ordered(">", left, right), left, right)
+
+    return Vector(width)(a, b), codegen

@@ -30,7 +30,7 @@ def _advection(u, v, w):
 
 @skfem.BilinearForm
 def _reaction(u, v, w):
-    """u s for a given slope s."""
+    """U s for a given slope s."""
     return w.s * u * v
 
 

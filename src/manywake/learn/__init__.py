@@ -1,0 +1,1 @@
+"""Many episodes: policy, rollout, engines, collection, PPO, runs and evaluation."""

@@ -1,0 +1,120 @@
+"""Observed orders of convergence on an exact Navier-Stokes solution, through the very same compiled stepper.
+
+The solution is a Taylor-Green vortex that decays and drifts with a uniform stream (c, d), on the unit square, with
+X = k (x - c t), Y = k (y - d t), k = 2 pi and F = exp(-2 nu k^2 t):
+
+    u = c - F cos X sin Y,   v = d + F sin X cos Y,   p = -F^2 (cos 2X + cos 2Y) / 4.
+
+Its boundary data are a steady part plus four products of a time and a space function, which is what the solver's
+jets are: so the square has four "jets" around all its boundary, and nothing in the time loop is special.
+"""
+
+import numpy as np
+import skfem
+
+from manywake.flow import operators, space
+from manywake.flow.batch import FlowBatch, Start
+from manywake.flow.case import BDF2, Case, Jet, Scheme
+from manywake.flow.mesh import Mesh
+from manywake.flow.operators import Operators
+
+K = 2 * np.pi
+STREAM = np.array([1.0, 0.7])
+DURATION = 0.06
+"""In units of the time the stream takes across the square; a hundred steps of 6e-4."""
+REYNOLDS = 10.0
+"""Viscosity 0.01, so that convection, pressure and friction all matter on the square."""
+
+
+def velocity(x: np.ndarray, t: float, viscosity: float) -> np.ndarray:
+    """Return the exact velocity (n, 2) at points (n, 2)."""
+    return STREAM + np.tensordot(rates(np.array([t]), viscosity)[0], profiles(x), 1)
+
+
+def pressure(x: np.ndarray, t: float, viscosity: float) -> np.ndarray:
+    """Return the exact pressure (n,) at points (n, 2), of zero mean over the square."""
+    X, Y = (K * (x - STREAM * t)).T
+    return -0.25 * np.exp(-4 * viscosity * K**2 * t) * (np.cos(2 * X) + np.cos(2 * Y))
+
+
+def profiles(x: np.ndarray) -> np.ndarray:
+    """Return the space functions (4, n, 2) at points (n, 2) of which the vortex is made."""
+    (cx, cy), (sx, sy) = np.cos(K * x.T), np.sin(K * x.T)
+    pairs = [(-cx * sy, sx * cy), (cx * cy, sx * sy), (-sx * sy, -cx * cy), (sx * cy, -cx * sy)]
+    return np.array([np.stack(pair, axis=1) for pair in pairs])
+
+
+def rates(t: np.ndarray, viscosity: float) -> np.ndarray:
+    """Return the time functions (steps, 4) that go with `profiles`."""
+    (ca, cb), (sa, sb) = np.cos(K * np.outer(STREAM, t)), np.sin(K * np.outer(STREAM, t))
+    return (np.exp(-2 * viscosity * K**2 * t) * np.array([ca * cb, ca * sb, sa * cb, sa * sb])).T
+
+
+def square(level: int) -> Mesh:
+    """Return the unit square in 8 triangles (none with two sides on the boundary), `level` times cut into four."""
+    mesh = skfem.MeshTri.init_sqsymmetric().refined(level)
+    return Mesh(mesh.p.T.copy(), mesh.t.T.astype(np.int64), {})
+
+
+def solve(level: int, time_step: float, scheme: Scheme = BDF2) -> tuple[Operators, Start]:
+    """Step the vortex from exact data at time 0 to DURATION; return the operators and the last state.
+
+    The pressure is pinned at one vertex, where its increments are zero: what is stepped is p - p(pin). Boundary data
+    are those of opposite sides alike, so that their interpolant has no net flux for the pin to swallow.
+    """
+    jets = (Jet(0.0),) * 4
+    case = Case("vortex", REYNOLDS, jets, ((0.15, 0.15),), time_step, scheme)
+    dt, nu = time_step, case.viscosity
+    spaces = space.build(square(level))
+    fixed = np.unique(spaces.velocity.get_dofs().all())
+    steady, shapes = np.zeros_like(spaces.x), np.zeros((4, *spaces.x.shape))
+    steady[fixed] = STREAM
+    shapes[:, fixed] = profiles(spaces.x[fixed])
+    ops = operators.from_boundary_data(
+        case,
+        spaces,
+        fixed,
+        steady,
+        shapes,
+        body=fixed,
+        pressure_fixed=np.array([0]),
+        jet_flux_error=np.zeros(4),
+        jet_thrust=np.zeros((4, 2)),
+    )
+    p = [pressure(spaces.mesh.points, -k * dt, nu) for k in range(3)]
+    p = [q - q[0] for q in p]
+    start = Start(velocity(spaces.x, 0.0, nu), velocity(spaces.x, -dt, nu), p[0], p[0] - p[1], p[1] - p[2])
+    flow = FlowBatch(ops, start, 1)
+    steps = round(DURATION / dt)
+    flow.advance(rates(dt * np.arange(1, steps + 1), nu)[:, :, None])
+    return ops, flow.state(0)
+
+
+def errors(ops: Operators, state: Start) -> tuple[float, float]:
+    """Return the L2 errors of velocity and pressure (up to a constant) at DURATION."""
+    nu = ops.case.viscosity
+    fine = skfem.Basis(ops.space.velocity.mesh, skfem.ElementTriP2(), intorder=8)
+    points = fine.global_coordinates().value.reshape(2, -1).T
+    shape, weight = fine.dx.shape, fine.dx
+    u = velocity(points, DURATION, nu)
+    squares = sum((fine.interpolate(state.u[:, c]).value - u[:, c].reshape(shape)) ** 2 for c in range(2))
+    e = fine.with_element(skfem.ElementTriP1()).interpolate(state.p).value
+    e = e - pressure(points, DURATION, nu).reshape(shape)
+    e = e - np.sum(e * weight) / np.sum(weight)
+    return float(np.sqrt(np.sum(squares * weight))), float(np.sqrt(np.sum(e**2 * weight)))
+
+
+def orders_in_space(levels: tuple[int, int] = (3, 4), time_step: float = 3e-4) -> tuple[float, float]:
+    """Return the observed orders of velocity and pressure (L2) between two meshes at one small time step."""
+    (u0, p0), (u1, p1) = (errors(*solve(level, time_step)) for level in levels)
+    cuts = levels[1] - levels[0]
+    return float(np.log2(u0 / u1) / cuts), float(np.log2(p0 / p1) / cuts)
+
+
+def order_in_time(scheme: Scheme = BDF2, time_step: float = 6e-4, level: int = 3) -> float:
+    """Return the observed order of velocity (L2) from three runs at dt, dt/2 and dt/4 on one mesh."""
+    runs = [solve(level, time_step / 2**k, scheme) for k in range(3)]
+    mass = runs[0][0].space.mass
+    differences = [a[1].u - b[1].u for a, b in zip(runs, runs[1:], strict=False)]
+    first, second = (float(np.sum(d * (mass @ d))) ** 0.5 for d in differences)
+    return float(np.log2(first / second))

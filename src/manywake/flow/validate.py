@@ -1,0 +1,268 @@
+"""The table of references: what the solver gives beside what it should give, on the mesh and time step of a case.
+
+Sources: DFG 2D-1 and 2D-2 are the benchmarks of Schafer & Turek (1996) with FeatFlow's converged numbers; the steady
+flow at Re 100 is Newton on a much finer mesh; the controlled flows are this solver's own on a mesh twice as fine at
+half the time step (`fine_reference`, shipped as data/controlled-reference.json); the orders are on an exact solution.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from manywake.flow import baseline, exact, operators, sensors, steady
+from manywake.flow import mesh as meshes
+from manywake.flow.baseline import Baseline, Progress
+from manywake.flow.batch import FlowBatch, Start
+from manywake.flow.case import BDF2, CASES, Case
+from manywake.flow.operators import Operators
+
+DURATION = 16.0
+"""How long the controlled flows run from the start state, about 48 shedding periods."""
+SETTLE = 4.0
+"""What of it is not averaged: the start-up of the jets, and on the fine mesh the interpolated start state."""
+TOLERANCE = 0.02
+"""Of the changes of C_D and C_L by the jets against those on the fine mesh."""
+STEADY = 1e-6
+"""The flow is steady when C_D moved less than this during one unit of time..."""
+STEADY_MOST = 60.0
+"""...which must be so before this time."""
+
+FORCINGS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "no jets": lambda t: 0.0 * t,
+    "Q = 0.001": lambda t: 0.0 * t + 0.001,
+    "Q = 0.004": lambda t: 0.0 * t + 0.004,
+    "Q = 0.003 sin(2 pi 2.5 t)": lambda t: 0.003 * np.sin(2 * np.pi * 2.5 * t),
+    "Q = 0.003 sin(2 pi 3.6 t)": lambda t: 0.003 * np.sin(2 * np.pi * 3.6 * t),
+}
+"""The flow rate of the first jet, the second has its negative: one column of the batch each."""
+
+REFERENCE = Path(str(files("manywake") / "data" / "controlled-reference.json"))
+
+
+@dataclass(frozen=True)
+class Check:
+    """One line of the table. `tolerance` is relative or absolute as `kind` says; for bounds it is 0."""
+
+    name: str
+    ours: float
+    reference: float
+    tolerance: float
+    kind: Literal["relative", "absolute", "at least", "at most"]
+    source: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether ours agrees with the reference; never when ours is not a number."""
+        error = abs(self.ours - self.reference)
+        return {
+            "relative": error <= self.tolerance * abs(self.reference),
+            "absolute": error <= self.tolerance,
+            "at least": self.ours >= self.reference,
+            "at most": self.ours <= self.reference,
+        }[self.kind]
+
+
+def run(case: Case = CASES["cylinder-jets"], progress: Progress | None = None, recompute: bool = False) -> list[Check]:
+    """Return all checks of a case with two jets, in about two minutes on one core.
+
+    recompute: make the fine reference anew (some fifteen minutes) instead of reading the shipped one. Raises
+    ValueError when the shipped one is of another mesh, Reynolds number or time step.
+    """
+    report = progress or (lambda what, share: None)
+    ops, base = baseline.assembled(case)
+    reference = fine_reference(case, progress) if recompute else shipped_reference(case, base)
+    record, blown = forced(ops, base.start, report, "controlled flows")
+    checks = [
+        *dfg_steady(case, base, report),
+        *dfg_periodic(record[:, :, 0], case.time_step),
+        *base_flow(ops),
+        *jets(ops),
+        *forces(ops, blown, record[-1, :, 2]),
+        *controlled(changes(record, case.time_step), reference["changes"]),
+    ]
+    report("orders", 0.0)
+    return checks + orders(case)
+
+
+def dfg_steady(case: Case, base: Baseline, report: Progress) -> list[Check]:
+    """DFG 2D-1: at Re 20 the Karman street we start from must die and leave the steady flow."""
+    ops = operators.assemble(replace(case, reynolds=20.0), base.mesh)
+    flow = FlowBatch(ops, base.start, 1)
+    unit = round(1.0 / case.time_step)
+    c_d, c_l, dp = np.nan, np.nan, np.nan
+    for k in range(round(STEADY_MOST)):
+        report("DFG 2D-1", k / STEADY_MOST)
+        record = flow.advance(np.zeros((unit, len(case.jets), 1)))[:, :, 0]
+        if np.ptp(record[:, 0]) < STEADY:
+            c_d, c_l = record[-1]
+            front, back = steady.pressure_at(ops.space, flow.state(0).p, [(-case.radius, 0.0), (case.radius, 0.0)])
+            dp = 0.2**2 * (front - back)  # the benchmark's mean inflow is 0.2, ours is 1
+            break
+    source = "Schafer & Turek 1996, FeatFlow"
+    return [
+        Check("DFG 2D-1 c_D", float(c_d), 5.5795, 0.005, "relative", source),
+        Check("DFG 2D-1 c_L", float(c_l), 0.010619, 0.05, "relative", source),
+        Check("DFG 2D-1 pressure difference", float(dp), 0.11752, 0.01, "relative", source),
+    ]
+
+
+def dfg_periodic(record: np.ndarray, time_step: float) -> list[Check]:
+    """DFG 2D-2: statistics of the uncontrolled flow's C_D and C_L (steps, 2) over whole periods."""
+    ours = sensors.shedding(record[:, 0], record[:, 1], time_step)
+    source = "FeatFlow Q2/P1 level 6, dt 1/1600"
+    return [
+        Check("DFG 2D-2 c_D max", ours.cd_max, 3.2274, 0.005, "relative", source),
+        Check("DFG 2D-2 c_D mean", ours.cd_mean, 3.1959, 0.005, "relative", source),
+        Check("DFG 2D-2 c_L max", ours.cl_max, 0.9866, 0.015, "relative", source),
+        Check("DFG 2D-2 St", ours.strouhal, 0.3018, 0.005, "relative", source),
+    ]
+
+
+def base_flow(ops: Operators) -> list[Check]:
+    """The steady flow that is unstable at Re 100: the drag that remains with all shedding gone."""
+    ours = steady.solve(ops.case, ops.space)
+    return [Check("steady base flow C_D", ours.c_d, 2.942, 0.005, "relative", "Newton, converged in the mesh")]
+
+
+def jets(ops: Operators) -> list[Check]:
+    """Fluxes of the discrete jets, as the time loop imposes them, through all of the body."""
+    tables, space, count = ops.tables, ops.space, len(ops.case.jets)
+    body = np.concatenate([space.facets(name) for name in ["cylinder", *(f"jet{i}" for i in range(count))]])
+    profiles = np.zeros((count, *space.x.shape))
+    profiles[:, ops.velocity_order[tables.jet_rows]] = tables.jet_profile
+    checks = []
+    for i, profile in enumerate(profiles):
+        flux, _ = operators.boundary_flux(space, body, profile)
+        checks.append(Check(f"jet {i} flux at Q = 1", flux, 1.0, 1e-12, "absolute", "exact"))
+    net, _ = operators.boundary_flux(space, body, profiles[0] - profiles[1])
+    error = float(abs(ops.jet_flux_error).max())
+    return [
+        *checks,
+        Check("jets' net flux at Q = 1, -1", net, 0.0, 1e-12, "absolute", "exact"),
+        Check("jets' flux error before scaling", error, 0.005, 0.0, "at most", "two facets a jet give 0.1 %"),
+    ]
+
+
+def forces(ops: Operators, state: Start, residual: np.ndarray) -> list[Check]:
+    """C_D and C_L from the momentum residual against the surface integral, of one flow with a jet on."""
+    surface = sensors.surface_force(ops, state.u, state.p)
+    source = "surface integral of the stress, same flow, Q = 0.004"
+    return [
+        Check("residual C_D", float(residual[0]), surface[0], 0.03, "relative", source),
+        Check("residual C_L", float(residual[1]), surface[1], 0.03, "relative", source),
+    ]
+
+
+def controlled(ours: dict[str, dict[str, float]], reference: dict[str, dict[str, float]]) -> list[Check]:
+    """The jets' changes of the forces against those on the fine mesh."""
+    source = "mesh twice as fine, half the time step"
+    return [
+        Check(f"change of {quantity}, {name}", value, reference[name][quantity], TOLERANCE, "relative", source)
+        for name, quantities in ours.items()
+        for quantity, value in quantities.items()
+    ]
+
+
+def orders(case: Case) -> list[Check]:
+    """Observed orders of convergence of the case's scheme on a drifting Taylor-Green vortex."""
+    velocity, pressure = exact.orders_in_space()
+    in_time = exact.order_in_time(case.scheme)
+    source = "exact Navier-Stokes solution, L2"
+    return [
+        Check("order of velocity in space", velocity, 2.8, 0.0, "at least", source),
+        Check("order of pressure in space", pressure, 1.8, 0.0, "at least", source),
+        Check("order of velocity in time", in_time, 1.9 if case.scheme == BDF2 else 0.9, 0.0, "at least", source),
+    ]
+
+
+def forced(
+    ops: Operators, start: Start, report: Progress, what: str, duration: float = DURATION
+) -> tuple[np.ndarray, Start]:
+    """Run all FORCINGS side by side; return C_D and C_L (steps, 2, B) and the last state of column 2, Q = 0.004."""
+    dt = ops.case.time_step
+    t = dt * np.arange(1, round(duration / dt) + 1)
+    first = np.stack([rate(t) for rate in FORCINGS.values()], axis=1)
+    rates = np.stack([first, -first], axis=1)
+    flow = FlowBatch(ops, start, len(FORCINGS))
+    record = []
+    for k in range(0, len(t), 1000):
+        report(what, k / len(t))
+        record.append(flow.advance(rates[k : k + 1000]))
+    return np.concatenate(record), flow.state(2)
+
+
+def changes(record: np.ndarray, time_step: float) -> dict[str, dict[str, float]]:
+    """Return the change by each forcing of mean C_D and of C_L: its mean where Q is constant, else its rms.
+
+    Means are over all that follows SETTLE, weighted by sin^4: the window's ends are smooth, so that no shedding or
+    beat period need be known and what of them is left is below 1e-3 of the change.
+    """
+    c_d, c_l = record[round(SETTLE / time_step) :].transpose(1, 0, 2)
+    w = np.sin(np.pi * (np.arange(len(c_d)) + 0.5) / len(c_d)) ** 4
+    w /= w.sum()
+    drag, lift, rms = w @ c_d, w @ c_l, np.sqrt(w @ c_l**2)
+    table = {}
+    for b, name in enumerate(FORCINGS):
+        key, signal = ("rms C_L", rms) if "sin" in name else ("mean C_L", lift)
+        table[name] = {"mean C_D": float(drag[b] - drag[0]), key: float(signal[b] - signal[0])}
+    del table["no jets"]
+    return table
+
+
+def fine_reference(case: Case = CASES["cylinder-jets"], progress: Progress | None = None) -> dict[str, Any]:
+    """Compute the controlled flows on the refined mesh at half the time step, second order in time (15 minutes).
+
+    What is shipped was written by `validate.REFERENCE.write_text(json.dumps(validate.fine_reference(), indent=1))`.
+    """
+    report = progress or (lambda what, share: None)
+    ops, base = baseline.assembled(case)
+    mesh = meshes.refine(base.mesh, case)
+    fine = operators.assemble(replace(case, time_step=case.time_step / 2, scheme=BDF2), mesh)
+    record, _ = forced(fine, interpolate(ops, base.start, fine), report, "fine reference")
+    return {
+        "recipe": (
+            f"manywake.flow.validate.fine_reference: every triangle of the mesh cut into four ({len(mesh.triangles)} "
+            f"triangles), time step {fine.case.time_step:g}, {BDF2.name}; the case's start state interpolated, then "
+            f"{DURATION:g} units of time; changes are means with a sin^4 window over all but the first {SETTLE:g}"
+        ),
+        **_identity(case, base),
+        "changes": changes(record, fine.case.time_step),
+    }
+
+
+def shipped_reference(case: Case, base: Baseline) -> dict[str, Any]:
+    """Read the shipped fine reference; ValueError when it is not one of this case."""
+    reference = json.loads(REFERENCE.read_text())
+    for key, wanted in _identity(case, base).items():
+        if reference[key] != wanted:
+            raise ValueError(
+                f"controlled reference: got one for {key} {reference[key]}, wanted {wanted}; "
+                "make one for this case with recompute=True (some fifteen minutes)"
+            )
+    return reference
+
+
+def _identity(case: Case, base: Baseline) -> dict[str, Any]:
+    return {
+        "mesh": base.mesh.digest(),
+        "reynolds": case.reynolds,
+        "time_step": case.time_step,
+        "duration": DURATION,
+        "settle": SETTLE,
+        "forcings": list(FORCINGS),
+    }
+
+
+def interpolate(ops: Operators, start: Start, fine: Operators) -> Start:
+    """Return a state on the refined mesh at half the time step, with the fine mesh's boundary values, jets off."""
+    velocity = ops.space.velocity.probes(fine.space.x.T)
+    pressure = ops.space.pressure.probes(fine.space.mesh.points.T)
+    u, u_old = velocity @ start.u, velocity @ (0.5 * (start.u + start.u_old))
+    for part in (u, u_old):
+        part[fine.velocity_order[fine.free :]] = fine.tables.fixed
+    return Start(u, u_old, pressure @ start.p, pressure @ start.phi / 2, pressure @ start.phi_old / 2)

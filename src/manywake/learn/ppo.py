@@ -1,0 +1,232 @@
+"""Stock PPO of Stable-Baselines3 that asks for whole episodes: one method overridden, the normaliser in the policy."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import Space
+from stable_baselines3 import PPO
+from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.utils import LinearSchedule, obs_as_tensor
+from stable_baselines3.common.vec_env import VecEnv
+
+from manywake.flow import space
+from manywake.learn.collect import Collector
+from manywake.learn.policy import NORMALISED_LIMIT, Policy
+from manywake.learn.rollout import Episode
+from manywake.learn.settings import Learning
+
+
+class RunningNorm(BaseFeaturesExtractor):
+    """Normalises observations by running statistics that are buffers of the policy: frozen while it plays."""
+
+    mean: torch.Tensor
+    variance: torch.Tensor
+    count: torch.Tensor
+
+    def __init__(self, observation_space: Space):
+        super().__init__(observation_space, features_dim=math.prod(observation_space.shape or ()))
+        self.register_buffer("mean", torch.zeros(self.features_dim, dtype=torch.float64))
+        self.register_buffer("variance", torch.ones(self.features_dim, dtype=torch.float64))
+        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+
+    def deviation(self) -> torch.Tensor:
+        """Return the standard deviation that observations are divided by."""
+        return torch.sqrt(self.variance + 1e-8)
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        scaled = (observations.double() - self.mean) / self.deviation()
+        return scaled.clamp(-NORMALISED_LIMIT, NORMALISED_LIMIT).float()
+
+    @torch.no_grad()
+    def update(self, observations: np.ndarray) -> None:
+        """Take a batch (samples, values) into the statistics."""
+        batch = observations.astype(np.float64)
+        count, mean, variance = len(batch), batch.mean(axis=0), batch.var(axis=0)
+        old, new = float(self.count), float(self.count) + count
+        delta = torch.from_numpy(mean) - self.mean
+        spread = old * self.variance + count * torch.from_numpy(variance) + delta**2 * (old * count / new)
+        self.mean += delta * (count / new)
+        self.variance.copy_(spread / new)
+        self.count.fill_(new)
+
+
+class SpacesOnly(VecEnv):
+    """Tells SB3 the spaces. It cannot be stepped: episodes come from the collector."""
+
+    def __init__(self, observation_space: Space, action_space: Space):
+        super().__init__(1, observation_space, action_space)
+
+    def reset(self):
+        return np.zeros((1, *self.observation_space.shape), self.observation_space.dtype)
+
+    def step_async(self, actions):
+        raise NotImplementedError("the episodes come from the collector; use the Gymnasium environment to step")
+
+    def step_wait(self):
+        raise NotImplementedError
+
+    def close(self):
+        pass
+
+    def get_attr(self, attr_name, indices=None):
+        return [getattr(self, attr_name, None)]
+
+    def set_attr(self, attr_name, value, indices=None):
+        raise NotImplementedError
+
+    def env_method(self, method_name, *args, indices=None, **kwargs):
+        raise NotImplementedError
+
+    def env_is_wrapped(self, wrapper_class, indices=None):
+        return [False]
+
+
+@dataclass
+class Hooks:
+    """What a run wants to know: blocks as they arrive, and a whole batch just before the update made of it."""
+
+    arrived: Callable[[list[Episode]], None] = lambda episodes: None
+    collected: Callable[["EpisodicPPO", list[Episode]], None] = lambda model, episodes: None
+
+
+class EpisodicPPO(PPO):
+    """PPO whose rollouts are whole episodes from a collector. `num_timesteps` counts full horizons."""
+
+    collector: Collector
+    hooks: Hooks
+    horizon: int
+    learning: Learning
+    version: int = 0
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "collector", "hooks"]
+
+    def collect_rollouts(self, env, callback, rollout_buffer, n_rollout_steps) -> bool:
+        """Collect one update's episodes, join them in index order in one column, and bootstrap at the horizon."""
+        callback.on_rollout_start()
+        self.policy.set_training_mode(False)
+        period = self.learning.update_period
+        first = self.version * period
+        episodes = self.collector.collect(snapshot(self), range(first, first + period), self.hooks.arrived)
+        self.hooks.collected(self, episodes)
+        observations = np.concatenate([episode.observations for episode in episodes])
+        normaliser(self).update(observations)
+
+        total = len(observations)
+        buffer = RolloutBuffer(
+            total, self.observation_space, self.action_space, self.device, self.gae_lambda, self.gamma, n_envs=1
+        )
+        with torch.no_grad():
+            values = self.policy.predict_values(obs_as_tensor(observations, self.device)).cpu()
+            ends = np.stack([episode.last_observation for episode in episodes])
+            end_values = self.policy.predict_values(obs_as_tensor(ends, self.device)).cpu().numpy()[:, 0]
+        k = 0
+        for episode, end_value in zip(episodes, end_values, strict=True):
+            rewards = episode.rewards.astype(np.float32)
+            if not episode.terminated:
+                rewards[-1] += self.gamma * end_value
+            for t in range(len(rewards)):
+                buffer.add(
+                    episode.observations[t][None],
+                    episode.actions[t][None],
+                    rewards[t : t + 1],
+                    np.array([t == 0]),
+                    values[k],
+                    torch.tensor([episode.log_probs[t]], dtype=torch.float32),
+                )
+                k += 1
+        buffer.compute_returns_and_advantage(last_values=torch.zeros(1), dones=np.ones(1))
+        self.rollout_buffer = buffer
+        self.num_timesteps += period * self.horizon
+        assert self.ep_info_buffer is not None
+        for episode in episodes:
+            self.ep_info_buffer.append({"r": float(episode.rewards.sum()), "l": len(episode.rewards)})
+        half = [len(episode.c_d) // 2 for episode in episodes]
+        self.logger.record("flow/cd_mean", np.mean([e.c_d[h:].mean() for e, h in zip(episodes, half, strict=True)]))
+        self.logger.record("flow/cl_mean", np.mean([e.c_l[h:].mean() for e, h in zip(episodes, half, strict=True)]))
+        self.logger.record("flow/jet_rms", np.sqrt(np.mean([(e.jets**2).mean() for e in episodes])))
+        self.logger.record("flow/diverged", sum(e.terminated for e in episodes))
+        seed_update(self.collector.run_seed, self.version)
+        self.version += 1
+        callback.update_locals(locals())
+        callback.on_rollout_end()
+        return True
+
+
+def digest(model: PPO) -> str:
+    """Return the hash of the policy: weights of actor and critic, and the normaliser."""
+    state = {name: tensor.cpu().numpy() for name, tensor in model.policy.state_dict().items()}
+    return space.digest(state)
+
+
+def seed_update(run_seed: int, version: int) -> None:
+    """Seed the global generators for one update, so that it depends on (run seed, version) only."""
+    words = np.random.SeedSequence(run_seed, spawn_key=(version, 2)).generate_state(2)
+    np.random.seed(int(words[0]))  # noqa: NPY002 - SB3 shuffles its minibatches with NumPy's global generator
+    torch.manual_seed(int(words[1]))
+
+
+def build(
+    observation_space: Space, action_space: Space, learning: Learning, collector: Collector, **extra: Any
+) -> EpisodicPPO:
+    """Make the learner; its first weights depend on the run seed only."""
+    torch.set_num_threads(learning.learner_threads)
+    model = EpisodicPPO(
+        "MlpPolicy",
+        SpacesOnly(observation_space, action_space),
+        learning_rate=LinearSchedule(learning.learning_rate, learning.learning_rate_end, 1.0),
+        n_steps=learning.update_period * collector.task.actions_per_episode,
+        batch_size=learning.batch_size,
+        n_epochs=learning.n_epochs,
+        gamma=learning.gamma,
+        gae_lambda=learning.gae_lambda,
+        clip_range=learning.clip_range,
+        ent_coef=learning.ent_coef,
+        vf_coef=learning.vf_coef,
+        max_grad_norm=learning.max_grad_norm,
+        policy_kwargs={
+            "net_arch": {"pi": list(learning.hidden), "vf": list(learning.hidden)},
+            "activation_fn": torch.nn.ReLU,
+            "features_extractor_class": RunningNorm,
+            "log_std_init": learning.log_std_init,
+        },
+        seed=collector.run_seed,
+        device="cpu",
+        **extra,
+    )
+    model.collector, model.learning, model.hooks = collector, learning, Hooks()
+    model.horizon = collector.task.actions_per_episode
+    return model
+
+
+def normaliser(model: PPO) -> RunningNorm:
+    """Return the observation normaliser of a model."""
+    extractor = model.policy.features_extractor
+    assert isinstance(extractor, RunningNorm)
+    return extractor
+
+
+def snapshot(model: PPO, version: int | None = None) -> Policy:
+    """Return the policy as plain arrays."""
+    policy: Any = model.policy
+    norm = normaliser(model)
+
+    def array(tensor: torch.Tensor) -> np.ndarray:
+        return tensor.detach().cpu().numpy().astype(np.float64)
+
+    linear = [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, torch.nn.Linear)]
+    linear.append(policy.action_net)
+    log_std = array(policy.log_std)
+    return Policy(
+        getattr(model, "version", 0) if version is None else version,
+        array(norm.mean),
+        array(norm.deviation()),
+        tuple((array(layer.weight), array(layer.bias)) for layer in linear),
+        log_std,
+        np.exp(log_std),
+    )
