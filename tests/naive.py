@@ -125,9 +125,7 @@ def step(case, space, start, jets, profiles, boundaries):
     phi = np.zeros(m)
     inner = np.setdiff1d(np.arange(m), boundaries["pressure"])
     divergence = sum(space.divergence[c] @ u[:, c] for c in range(2))
-    phi[inner] = np.linalg.solve(
-        space.pressure_stiffness[inner][:, inner].toarray(), -a / dt * divergence[inner]
-    )
+    phi[inner] = np.linalg.solve(space.pressure_stiffness[inner][:, inner].toarray(), -a / dt * divergence[inner])
     p = start.p + phi
 
     force = np.zeros(2)

@@ -3,15 +3,16 @@
 import dataclasses
 import re
 
-import naive
 import numpy as np
 import pytest
-from conftest import TINY, tiny_mesh
 
 from manywake.flow import case, operators, sensors
 from manywake.flow.batch import FlowBatch, Start, widths
 from manywake.flow.case import BDF2, GODA, Case, Jet
 from manywake.flow.mesh import Mesh
+
+from . import naive
+from .conftest import TINY, tiny_mesh
 
 STEPS = 20
 COLUMNS = 20
@@ -177,6 +178,26 @@ def test_velocity_is_nearly_free_of_divergence(ops, base):
     weak = sum(space.divergence[c] @ base.start.u[:, c] for c in range(2))[inner]
     slopes = sum(abs(space.divergence[c]) @ abs(base.start.u[:, c]) for c in range(2))[inner]
     assert np.linalg.norm(weak) < 2e-5 * np.linalg.norm(slopes)
+
+
+def second_viscous_part(ops, u):
+    """Return what the stress has beyond the gradient form, tested with 1 on the body, and its divergence form."""
+    space = ops.space
+    phi = np.zeros(len(space.x))
+    phi[space.boundary_nodes(["cylinder", "jet0", "jet1"])] = 1.0
+    field, test = [space.velocity.interpolate(u[:, c]) for c in range(2)], space.velocity.interpolate(phi)
+    dx, divergence = space.velocity.dx, field[0].grad[0] + field[1].grad[1]
+    transposed = [sum(np.sum(field[j].grad[i] * test.grad[j] * dx) for j in range(2)) for i in range(2)]
+    return np.array(transposed), np.array([np.sum(divergence * test.grad[i] * dx) for i in range(2)])
+
+
+def test_gradient_form_gives_the_whole_force_but_for_the_divergence(ops, base):
+    # for any velocity, blowing on the body included: docs/numerics.md, "Force"
+    transposed, divergence = second_viscous_part(ops, np.random.default_rng(0).normal(size=base.start.u.shape))
+    np.testing.assert_allclose(transposed, divergence, rtol=1e-10)
+    transposed, _ = second_viscous_part(ops, base.start.u)
+    missing = 2 * ops.case.viscosity * transposed / ops.case.diameter
+    assert abs(missing).max() < 4e-3 * base.shedding.cd_mean
 
 
 def test_what_flows_in_flows_out(ops, base):

@@ -1,6 +1,5 @@
 """Every kernel against its slow twin in naive.py, for every vector width."""
 
-import naive
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -10,6 +9,8 @@ from hypothesis import strategies as st
 from manywake.flow import kernels, operators, simd
 from manywake.flow.kernels import CORNER, NODE, WEIGHT
 from manywake.flow.operators import Rows
+
+from . import naive
 
 widths = pytest.mark.parametrize("width", simd.WIDTHS)
 seeds = st.integers(0, 2**32 - 1)
@@ -191,9 +192,7 @@ def test_kernels_give_the_same_bits_for_every_width(tiny):
         kernels.momentum_forward(*tables.history, w, *tables.gradient, phi, *tables.momentum.lower, y)
         kernels.momentum_backward(*tables.momentum.upper, tables.momentum.inverse_diagonal, y)
         poisson = tables.poisson
-        kernels.pressure_solve(
-            *tables.divergence, y, *poisson.lower, *poisson.upper, poisson.inverse_diagonal, phi
-        )
+        kernels.pressure_solve(*tables.divergence, y, *poisson.lower, *poisson.upper, poisson.inverse_diagonal, phi)
         kernels.add_product(tables.force_new.column, tables.force_new.value, y, 0, rates)
         return [simd.numbers(array).copy() for array in (w, e, y, phi, rates)]
 

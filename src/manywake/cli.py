@@ -278,17 +278,21 @@ def main() -> None:
     named = dict(zip(sys.argv, sys.argv[1:], strict=False)).get("--protocol", "default")
     name = named if named in PROTOCOLS else "default"
     defaults = Train(*PROTOCOLS[name], protocol=name)  # type: ignore[arg-type]
-    chosen = tyro.cli(
-        Annotated[Validate, tyro.conf.subcommand("validate")]
-        | Annotated[BaselineCommand, tyro.conf.subcommand("baseline")]
-        | Annotated[Train, tyro.conf.subcommand("train", default=defaults)]
-        | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
-        | Annotated[Bench, tyro.conf.subcommand("bench")],  # type: ignore[arg-type]
-        prog="manywake",
-        description="Active flow control by deep reinforcement learning, on many simulations at once.",
-    )
     try:
+        chosen = tyro.cli(
+            Annotated[Validate, tyro.conf.subcommand("validate")]
+            | Annotated[BaselineCommand, tyro.conf.subcommand("baseline")]
+            | Annotated[Train, tyro.conf.subcommand("train", default=defaults)]
+            | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+            | Annotated[Bench, tyro.conf.subcommand("bench")],  # type: ignore[arg-type]
+            prog="manywake",
+            description="Active flow control by deep reinforcement learning, on many simulations at once.",
+        )
         sys.exit(chosen.run())
     except (ValueError, RuntimeError) as error:
-        console.print(f"[red]error:[/] {error}", highlight=False)
+        console.print(f"[red]error:[/] {error}", highlight=False, soft_wrap=True)
         sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

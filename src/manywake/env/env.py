@@ -81,15 +81,20 @@ class CylinderJetsVectorEnv(gymnasium.vector.VectorEnv):
         ops, base = baseline.assembled(self.case)
         self._flows = ControlledFlow(ops, base, self.task, num_envs)
         self._ended = np.zeros(num_envs, dtype=bool)
+        self._last = Outcome.none(num_envs, self._flows.steps)
 
     def reset(self, *, seed=None, options: dict[str, Any] | None = None):
         """Put all flows (or those of options["reset_mask"]) back to the start state."""
         super().reset(seed=seed if not isinstance(seed, list) else seed[0], options=options)
         mask = (options or {}).get("reset_mask")
-        columns = np.arange(self.num_envs) if mask is None else np.flatnonzero(np.asarray(mask, dtype=bool))
+        mask = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
+        if mask.shape != (self.num_envs,):
+            raise ValueError(f"reset_mask: got shape {mask.shape}, wanted ({self.num_envs},)")
+        columns = np.flatnonzero(mask)
         self._flows.reset(columns)
         self._ended[columns] = False
-        return self._flows.observe(), self._info(None)
+        self._last = _cleared(self._last, columns)
+        return self._flows.observe(), self._info()
 
     def step(self, actions):
         """Advance every flow by one action interval; what happens at an episode's end is the autoreset mode's."""
@@ -101,38 +106,39 @@ class CylinderJetsVectorEnv(gymnasium.vector.VectorEnv):
                 'reset(options={"reset_mask": ...}) first'
             )
         resetting = np.flatnonzero(self._ended) if mode == AutoresetMode.NEXT_STEP else np.empty(0, int)
-        outcome = self._flows.act(action)
+        outcome = self._last = self._flows.act(action)
         if len(resetting):
             self._flows.reset(resetting)
-            outcome = _cleared(outcome, resetting)
+            outcome = self._last = _cleared(outcome, resetting)
         terminated, truncated = outcome.diverged.copy(), outcome.truncated.copy()
-        observation, info = self._flows.observe(), self._info(outcome)
+        observation, info = self._flows.observe(), self._info()
         self._ended = terminated | truncated
         if mode == AutoresetMode.SAME_STEP and self._ended.any():
             columns = np.flatnonzero(self._ended)
             final = np.full(self.num_envs, None, dtype=object)
             for column in columns:
                 final[column] = observation[column].copy()
-            final_info = {key: value.copy() for key, value in info.items()}
+            final_info = info | {key: self._ended.copy() for key in info if key.startswith("_")}
             self._flows.reset(columns)
             observation = self._flows.observe()
-            info = self._info(_cleared(outcome, columns))
+            self._last = _cleared(outcome, columns)
+            info = self._info()
             info |= {"final_obs": final, "_final_obs": self._ended.copy()}
             info |= {"final_info": final_info, "_final_info": self._ended.copy()}
             self._ended = np.zeros(self.num_envs, dtype=bool)
         return observation, outcome.reward.copy(), terminated, truncated, info
 
-    def _info(self, outcome: Outcome | None) -> dict[str, Any]:
-        n, flows = self.num_envs, self._flows
-        zero = np.zeros(n)
+    def _info(self) -> dict[str, Any]:
+        """Return the info of the last action; C_D and C_L of a flow that has just been reset are 0."""
+        flows = self._flows
         info: dict[str, Any] = {
-            "c_d": zero.copy() if outcome is None else outcome.c_d.copy(),
-            "c_l": zero.copy() if outcome is None else outcome.c_l.copy(),
+            "c_d": self._last.c_d.copy(),
+            "c_l": self._last.c_l.copy(),
             "jets": np.stack([flows.control, -flows.control], axis=1),
             "time": flows.actions * self.task.action_interval,
-            "diverged": np.zeros(n, dtype=bool) if outcome is None else outcome.diverged.copy(),
+            "diverged": self._last.diverged.copy(),
         }
-        return info | {f"_{key}": np.ones(n, dtype=bool) for key in list(info)}
+        return info | {f"_{key}": np.ones(self.num_envs, dtype=bool) for key in list(info)}
 
 
 def _cleared(outcome: Outcome, columns: np.ndarray) -> Outcome:

@@ -31,8 +31,8 @@ def exponential(task: "Task", time_step: float, control: np.ndarray, previous: n
 def linear(task: "Task", time_step: float, control: np.ndarray, previous: np.ndarray, action: np.ndarray):
     """The released code's ramp: from the previous action to this one, reached at the last step."""
     steps = task.steps(time_step)
-    share = (np.arange(steps) + 1.0) / steps
-    return previous + share[:, None] * (action - previous)
+    share = (np.arange(steps) + 1.0)[:, None] / steps
+    return (1.0 - share) * previous + share * action
 
 
 def step_change(task: "Task", time_step: float, control: np.ndarray, previous: np.ndarray, action: np.ndarray):
@@ -96,7 +96,7 @@ class Task:
     def steps(self, time_step: float) -> int:
         """Return the solver steps of an action; ValueError when the interval is no multiple of the time step."""
         ratio = self.action_interval / time_step
-        steps = round(ratio)
+        steps = round(ratio) if math.isfinite(ratio) else 0
         if steps < 1 or not math.isclose(ratio, steps, rel_tol=1e-9):
             raise ValueError(
                 f"action_interval: got {self.action_interval:g}, wanted a multiple of the time step {time_step:g}; "
@@ -180,6 +180,12 @@ class Outcome:
     truncated: np.ndarray
     coefficients: np.ndarray
     jets: np.ndarray
+
+    @staticmethod
+    def none(flows: int, steps: int) -> "Outcome":
+        """Return the outcome before any action: all zero."""
+        zero, no = np.zeros(flows), np.zeros(flows, dtype=bool)
+        return Outcome(zero, zero, zero, zero, no, no, np.zeros((steps, 2, flows)), np.zeros((steps, flows)))
 
 
 def _means(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -3,6 +3,8 @@
 import json
 import os
 import tempfile
+import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
@@ -59,9 +61,20 @@ class Baseline:
             "mean": self.mean,
         }
 
+    def numbers(self) -> dict[str, Any]:
+        """Return everything that is no array, as plain data."""
+        return {
+            "flow_digest": self.flow_digest,
+            "shedding": asdict(self.shedding),
+            "cd_steady": self.cd_steady,
+            "cl_steady": self.cl_steady,
+            "recipe": self.recipe,
+        }
+
     def digest(self) -> str:
         """Return the hash of the content: two baselines with the same digest start every run from the same bits."""
-        return space.digest(self.arrays())
+        numbers = json.dumps(self.numbers(), sort_keys=True).encode()
+        return space.digest(self.arrays() | {"numbers": np.frombuffer(numbers, np.uint8)})
 
 
 def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None) -> Baseline:
@@ -148,14 +161,7 @@ def phases(ops: Operators, baseline: Baseline, count: int) -> list[Start]:
 
 def save(baseline: Baseline, path: Path) -> None:
     """Write a baseline atomically: either the whole file is there or none."""
-    description = {
-        "flow_digest": baseline.flow_digest,
-        "digest": baseline.digest(),
-        "shedding": asdict(baseline.shedding),
-        "cd_steady": baseline.cd_steady,
-        "cl_steady": baseline.cl_steady,
-        "recipe": baseline.recipe,
-    }
+    description = baseline.numbers() | {"digest": baseline.digest()}
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
     try:
@@ -170,8 +176,18 @@ def save(baseline: Baseline, path: Path) -> None:
 
 
 def load(path: Path) -> Baseline:
-    """Read a baseline; ValueError when its content is not what its hash says."""
-    with np.load(path, allow_pickle=False) as data:
+    """Read a baseline; ValueError when the file is damaged or its content is not what its hash says."""
+    try:
+        baseline, digest = _read(path)
+    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"baseline: {path} is damaged ({error}); delete the file and run again") from error
+    if baseline.digest() != digest:
+        raise ValueError(f"baseline: the content of {path} does not match its hash; delete the file and run again")
+    return baseline
+
+
+def _read(path: Path) -> tuple[Baseline, str]:
+    with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
         description = json.loads(str(data["description"]))
         boundaries = {
             key.removeprefix("boundary_"): data[key].astype(np.int64) for key in data.files if key.startswith("bound")
@@ -186,9 +202,7 @@ def load(path: Path) -> Baseline:
             description["cl_steady"],
             description["recipe"],
         )
-    if baseline.digest() != description["digest"]:
-        raise ValueError(f"baseline: the content of {path} does not match its hash; delete the file and run again")
-    return baseline
+    return baseline, description["digest"]
 
 
 def shipped_path(case: Case) -> Path:
@@ -213,17 +227,20 @@ def get(case: Case, progress: Progress | None = None) -> Baseline:
         if CASES[name].flow_digest() == case.flow_digest() and path.exists():
             return load(path)
     path = cache_path(case)
+    if path.exists():
+        return load(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         lock = FileLock(str(path) + ".lock")
-        with lock:
-            if not path.exists():
-                save(make(case, _shipped_mesh(case), progress), path)
+        lock.acquire()
     except OSError as error:
         raise RuntimeError(
             f"cache: cannot write {path.parent} ({error}); wanted a folder to keep the start state of case "
             f"{case.name!r} in; make it writable or set XDG_CACHE_HOME to one that is"
         ) from error
+    with lock:
+        if not path.exists():
+            save(make(case, _shipped_mesh(case), progress), path)
     return load(path)
 
 

@@ -1,8 +1,8 @@
 """A case: geometry, fluid, jets, probes and numerics of one flow, as plain frozen data.
 
 Units are those of the paper's code: the mean inflow velocity is 1, the density is 1, the cylinder's diameter is 0.1
-and its centre is the origin. Times are therefore in units of 0.1 D/U-bar. Values: the DFG benchmark (Schafer & Turek
-1996) with the jets and probes of Rabault & Kuhnle (2019).
+and its centre is the origin. So the unit of length is 10 D and that of time 10 D/U-bar. Values: the DFG benchmark
+(Schafer & Turek 1996) with the jets and probes of Rabault & Kuhnle (2019).
 """
 
 import dataclasses
@@ -46,7 +46,7 @@ class Jet:
 
 @dataclass(frozen=True)
 class Resolution:
-    """Sizes of the triangles, in the unit of length (D = 0.1)."""
+    """Sizes of the triangles, in the unit of length, 10 D."""
 
     cylinder: float = 0.008
     """On the cylinder."""
@@ -113,6 +113,15 @@ class Case:
                 f"time_step: got {self.time_step:g}, wanted a value in (0, 6e-4]; explicit convection is unstable "
                 "above, on every mesh tried"
             )
+        edges = sorted((jet.angle % 360, jet.width) for jet in self.jets)
+        for (angle, width), (after, next_width) in zip(edges, [*edges[1:], *edges[:1]], strict=True):
+            gap = (after - angle) % 360 if len(edges) > 1 else 360.0
+            if not 0 < width <= 90 or (width + next_width) / 2 > gap:
+                raise ValueError(
+                    f"jets: got one at {angle:g} degrees of width {width:g}, wanted widths in (0, 90] without overlap"
+                )
+        if not self.spin_up > 0:
+            raise ValueError(f"spin_up: got {self.spin_up:g}, wanted a positive time; the street needs about 12")
         for i, (x, y) in enumerate(self.probes):
             inside = self.x_range[0] <= x <= self.x_range[1] and self.y_range[0] <= y <= self.y_range[1]
             if not inside or math.hypot(x, y) < self.radius:

@@ -117,8 +117,8 @@ def assemble(case: Case, mesh: Mesh) -> Operators:
 def jet_profiles(case: Case, space: Space) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the velocity of each jet at unit flow rate, the flux error before scaling, and the thrust.
 
-    profiles: (jets, n, 2), radial, cosine across the jet (REFERENCE: A = Q pi / (2 w R^2) cos(pi (theta - theta0)/w)),
-    scaled so that the flux through the jet's facets is exactly 1. thrust: (jets, 2), the integral of u (u . n).
+    profiles: (jets, n, 2), radial, cosine across the jet (eq. 12), scaled so that the flux through the jet's facets is
+    exactly 1. thrust: (jets, 2), the integral of u (u . n).
     """
     profiles = np.zeros((len(case.jets), *space.x.shape))
     error, thrust = np.zeros(len(case.jets)), np.zeros((len(case.jets), 2))
@@ -208,7 +208,7 @@ def from_boundary_data(
         jet_profile=np.ascontiguousarray(profiles[:, velocity_order[jet_rows]]),
         body=np.sort(place[body]).astype(np.uint32),
         force_new=_same(sp.csr_matrix((A.T @ test)[None, velocity_order])),
-        force_history=_same(sp.csr_matrix((R.T @ test)[None, velocity_order])),
+        force_history=_same(sp.csr_matrix(-(R.T @ test)[None, velocity_order])),
         force_pressure=force_pressure,
         jet_thrust=jet_thrust,
         numbers=np.array([*scheme.history, *scheme.extrapolation, *scheme.pressure, 2.0 / case.diameter]),

@@ -64,7 +64,7 @@ class Shedding:
 
 
 def shedding(c_d: np.ndarray, c_l: np.ndarray, time_step: float) -> Shedding:
-    """Return the statistics of a signal (steps,) between its first and last upward crossing of C_L's mean.
+    """Return the statistics of a signal (steps,) between the first and the last upward crossing of C_L's mid-range.
 
     cl_rms is the root mean square about zero. Raises ValueError when there are fewer than two whole periods.
     """

@@ -48,9 +48,10 @@ def solve(case: Case, space: Space, tolerance: float = 1e-9, most: int = 30) -> 
     x = np.zeros(2 * n + m)
     x[inlet] = case.inflow(space.x[inlet, 1])
 
+    basis = skfem.Basis(space.velocity.mesh, skfem.ElementTriP2(), intorder=5)
+
     def residual_and_jacobian(x, nu, convect):
         u, v = x[:n], x[n : 2 * n]
-        basis = skfem.Basis(space.velocity.mesh, skfem.ElementTriP2(), intorder=5)
         ux, vx = basis.interpolate(u), basis.interpolate(v)
         C = _advection.assemble(basis, ax=ux.value, ay=vx.value) if convect else sp.csr_matrix((n, n))
         A = nu * space.stiffness + C

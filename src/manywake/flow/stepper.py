@@ -67,7 +67,7 @@ def _advance(ops, u, u_old, p, phi, phi_old, w, e, y, jets, force):
             fx, fy = fma(mul(-ops.jet_thrust[j, 0], q), q, fx), fma(mul(-ops.jet_thrust[j, 1], q), q, fy)
         store(force, s, 0, fx)
         store(force, s, 1, fy)
-        add_product(ops.force_history.column, -ops.force_history.value, w, s, force)
+        add_product(ops.force_history.column, ops.force_history.value, w, s, force)
 
         # velocity at t + dt (eq. 9): boundary values, then the free nodes
         fill(ops.fixed, y[nf:])

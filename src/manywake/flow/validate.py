@@ -21,8 +21,8 @@ from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.case import BDF2, CASES, Case
 from manywake.flow.operators import Operators
 
-DURATION = 16.0
-"""How long the controlled flows run from the start state, about 48 shedding periods."""
+DURATION = 12.0
+"""How long the controlled flows run from the start state, about 36 shedding periods."""
 SETTLE = 4.0
 """What of it is not averaged: the start-up of the jets, and on the fine mesh the interpolated start state."""
 TOLERANCE = 0.02
@@ -76,13 +76,13 @@ def run(case: Case = CASES["cylinder-jets"], progress: Progress | None = None, r
     report = progress or (lambda what, share: None)
     ops, base = baseline.assembled(case)
     reference = fine_reference(case, progress) if recompute else shipped_reference(case, base)
-    record, blown = forced(ops, base.start, report, "controlled flows")
+    record = forced(ops, base.start, report, "controlled flows")
     checks = [
         *dfg_steady(case, base, report),
         *dfg_periodic(record[:, :, 0], case.time_step),
         *base_flow(ops),
         *jets(ops),
-        *forces(ops, blown, record[-1, :, 2]),
+        *forces(ops, base.start),
         *controlled(changes(record, case.time_step), reference["changes"]),
     ]
     report("orders", 0.0)
@@ -148,13 +148,23 @@ def jets(ops: Operators) -> list[Check]:
     ]
 
 
-def forces(ops: Operators, state: Start, residual: np.ndarray) -> list[Check]:
-    """C_D and C_L from the momentum residual against the surface integral, of one flow with a jet on."""
+def forces(ops: Operators, start: Start) -> list[Check]:
+    """C_D and C_L from the momentum residual against the surface integral, of one discrete flow with one jet on.
+
+    One jet and not the pair, whose thrusts would cancel: at Q = 0.005 the jet's momentum flux is 0.07 of C_L. The
+    tolerances are the surface integral's: slopes on the surface are an order less accurate. On the shipped mesh it
+    is 1.1 % below in C_D and 0.018 away in C_L, on the refined one 0.3 % and 0.006.
+    """
+    rates = np.zeros((400, len(ops.case.jets), 1))
+    rates[:, 0] = 0.005
+    flow = FlowBatch(ops, start, 1)
+    c_d, c_l = flow.advance(rates)[-1, :, 0]
+    state = flow.state(0)
     surface = sensors.surface_force(ops, state.u, state.p)
-    source = "surface integral of the stress, same flow, Q = 0.004"
+    source = "surface integral of the stress, same flow"
     return [
-        Check("residual C_D", float(residual[0]), surface[0], 0.03, "relative", source),
-        Check("residual C_L", float(residual[1]), surface[1], 0.03, "relative", source),
+        Check("residual C_D, one jet on", float(c_d), surface[0], 0.02, "relative", source),
+        Check("residual C_L, one jet on", float(c_l), surface[1], 0.03, "absolute", source),
     ]
 
 
@@ -180,10 +190,8 @@ def orders(case: Case) -> list[Check]:
     ]
 
 
-def forced(
-    ops: Operators, start: Start, report: Progress, what: str, duration: float = DURATION
-) -> tuple[np.ndarray, Start]:
-    """Run all FORCINGS side by side; return C_D and C_L (steps, 2, B) and the last state of column 2, Q = 0.004."""
+def forced(ops: Operators, start: Start, report: Progress, what: str, duration: float = DURATION) -> np.ndarray:
+    """Run all FORCINGS side by side; return C_D and C_L, (steps, 2, B)."""
     dt = ops.case.time_step
     t = dt * np.arange(1, round(duration / dt) + 1)
     first = np.stack([rate(t) for rate in FORCINGS.values()], axis=1)
@@ -193,7 +201,7 @@ def forced(
     for k in range(0, len(t), 1000):
         report(what, k / len(t))
         record.append(flow.advance(rates[k : k + 1000]))
-    return np.concatenate(record), flow.state(2)
+    return np.concatenate(record)
 
 
 def changes(record: np.ndarray, time_step: float) -> dict[str, dict[str, float]]:
@@ -223,7 +231,7 @@ def fine_reference(case: Case = CASES["cylinder-jets"], progress: Progress | Non
     ops, base = baseline.assembled(case)
     mesh = meshes.refine(base.mesh, case)
     fine = operators.assemble(replace(case, time_step=case.time_step / 2, scheme=BDF2), mesh)
-    record, _ = forced(fine, interpolate(ops, base.start, fine), report, "fine reference")
+    record = forced(fine, interpolate(ops, base.start, fine), report, "fine reference")
     return {
         "recipe": (
             f"manywake.flow.validate.fine_reference: every triangle of the mesh cut into four ({len(mesh.triangles)} "

@@ -176,12 +176,13 @@ def build(
 ) -> EpisodicPPO:
     """Make the learner; its first weights depend on the run seed only."""
     torch.set_num_threads(learning.learner_threads)
+    samples = learning.update_period * collector.task.actions_per_episode
     model = EpisodicPPO(
         "MlpPolicy",
         SpacesOnly(observation_space, action_space),
         learning_rate=LinearSchedule(learning.learning_rate, learning.learning_rate_end, 1.0),
-        n_steps=learning.update_period * collector.task.actions_per_episode,
-        batch_size=learning.batch_size,
+        n_steps=samples,
+        batch_size=min(learning.batch_size, samples),
         n_epochs=learning.n_epochs,
         gamma=learning.gamma,
         gae_lambda=learning.gae_lambda,

@@ -1,0 +1,71 @@
+"""The commands as users type them."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+TINY = ["--episodes", "2", "--update-period", "2", "--actions-per-episode", "2", "--hidden", "8"]
+
+
+def manywake(*words: str) -> subprocess.CompletedProcess:
+    return subprocess.run([sys.executable, "-m", "manywake.cli", *words], capture_output=True, text=True, check=False)
+
+
+def test_train_evaluates_and_leaves_the_promised_files(tmp_path):
+    folder = tmp_path / "run"
+    done = manywake("train", "--run", str(folder), "--json", *TINY)
+    assert done.returncode == 0, done.stderr
+    numbers = json.loads(done.stdout.splitlines()[-1])
+    one = {
+        "cd_uncontrolled",
+        "cd_controlled",
+        "drag_reduction",
+        "share_of_shedding_drag",
+        "cl_mean",
+        "cl_rms",
+        "jet_rms",
+    }
+    assert one <= set(numbers) and one <= set(numbers["long_run"])
+    assert {"wall_time_s", "episodes", "policy_sha256"} <= set(numbers)
+    files = {path.name for path in folder.rglob("*")}
+    expected = {"settings.json", "episodes.csv", "last.zip", "best.zip", "learning-curve.png", "wake.png"}
+    assert expected <= files
+    again = manywake("evaluate", str(folder), "--json")
+    assert again.returncode == 0, again.stderr
+    assert json.loads(again.stdout.splitlines()[-1])["long_run"] == numbers["long_run"]
+
+
+def test_protocol_sets_the_defaults_that_options_then_override(tmp_path):
+    done = manywake("train", "--protocol", "paper", "--run", str(tmp_path / "run"), *TINY)
+    assert done.returncode == 0, done.stderr
+    settings = json.loads((tmp_path / "run" / "settings.json").read_text())
+    assert settings["task"]["reward"] == "paper"
+    assert settings["task"]["actions_per_episode"] == 2
+    assert settings["learning"]["learning_rate_end"] == 1e-3
+
+
+def test_baseline_describes_the_shipped_case():
+    done = manywake("baseline", "--json")
+    assert done.returncode == 0, done.stderr
+    numbers = json.loads(done.stdout.splitlines()[-1])
+    assert numbers["cd_mean"] == pytest.approx(3.1959, rel=5e-3)
+    assert numbers["cd_steady"] == pytest.approx(2.942, rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["train", "--case", "sphere"], "case: got 'sphere', wanted one of"),
+        (["train", "--reward", "lift"], "reward: got 'lift', wanted one of"),
+        (["train", "--action-interval", "0.0252"], "wanted a multiple of the time step"),
+        (["train", "--episodes", "7"], "wanted a multiple of the update period"),
+        (["evaluate", "nowhere"], "has no settings.json"),
+    ],
+)
+def test_bad_settings_are_one_clear_line(words, text):
+    done = manywake(*words)
+    assert done.returncode == 2
+    assert text in " ".join((done.stderr + done.stdout).split())
+    assert "Traceback" not in done.stderr
