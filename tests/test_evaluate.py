@@ -20,7 +20,7 @@ def constant(action: float) -> Policy:
 
 def test_no_control_has_no_drag_reduction_and_the_known_lift(shipped):
     result = evaluate.play(CASE, Task(), constant(0.0), [shipped[1].start], 28)
-    steps = int(round(4 * shipped[1].shedding.period / CASE.time_step))
+    steps = int(round(2 * shipped[1].shedding.period / CASE.time_step))
     control = evaluate.control(shipped[1], Task(), result.c_d[:steps, 0], result.c_l[:steps, 0], result.jets[:steps, 0])
     assert control.drag_reduction == pytest.approx(0.0, abs=2e-4)
     assert control.cl_rms == pytest.approx(shipped[1].shedding.cl_rms, rel=2e-3)

@@ -191,7 +191,10 @@ def train(
         model.set_logger(configure(str(folder / "tensorboard"), ["csv", "tensorboard"]))
         watch = Watch(run, settings, show)
         model.hooks = watch
-        model.learn(settings.learning.episodes * settings.task.actions_per_episode)
+        try:
+            model.learn(settings.learning.episodes * settings.task.actions_per_episode)
+        finally:
+            model.logger.close()
         save(model, run.checkpoints / "last.zip")
         wall = time.perf_counter() - watch.started
     return Trained(wall, settings.learning.episodes, ppo.digest(model), watch.reached)
