@@ -48,9 +48,15 @@ class Jet:
 class Resolution:
     """Sizes of the triangles, in the unit of length, 10 D."""
 
-    cylinder: float = 0.008
-    """On the cylinder."""
-    wake: float = 0.02
+    cylinder: float = 0.0048
+    """Length of the facets of the cylinder."""
+    layers: int = 3
+    """Layers of quadrilaterals, cut into triangles, that lie around the cylinder like the rings of an onion."""
+    layer_height: float = 0.0034
+    """Height of the innermost layer."""
+    layer_growth: float = 1.25
+    """Height of a layer by that of the one within."""
+    wake: float = 0.0155
     """Within half a unit behind the cylinder."""
     far: float = 0.06
     """At the end of the channel."""

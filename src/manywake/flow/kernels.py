@@ -86,18 +86,44 @@ def _slopes(a, b, c, d, e, f):
 
 
 @kernel
-def convection(nodes, inverse, e, out):
-    """Subtract ((e . grad) e, v) from `out`, for every P2 test function v (eq. 8).
+def _blend(a, x, b, y, i, c):
+    """The blend a x + b y at row (i, c)."""
+    return fma(a, load(x, i, c), mul(b, load(y, i, c)))
+
+
+@kernel
+def convection(nodes, inverse, e0, u_now, e1, u_old, out):
+    """Subtract ((e . grad) e, v) from `out`, for e = e0 u_now + e1 u_old and every P2 test function v (eq. 6, 8).
 
     nodes: (elements, 6). inverse: (elements, 4), the inverse Jacobian times its determinant, row by row.
     """
     for t in range(len(nodes)):
         i0, i1, i2 = nodes[t, 0], nodes[t, 1], nodes[t, 2]
         i3, i4, i5 = nodes[t, 3], nodes[t, 4], nodes[t, 5]
-        u0, u1, u2 = load(e, i0, 0), load(e, i1, 0), load(e, i2, 0)
-        u3, u4, u5 = load(e, i3, 0), load(e, i4, 0), load(e, i5, 0)
-        v0, v1, v2 = load(e, i0, 1), load(e, i1, 1), load(e, i2, 1)
-        v3, v4, v5 = load(e, i3, 1), load(e, i4, 1), load(e, i5, 1)
+        u0, v0 = (
+            _blend(e0, u_now, e1, u_old, i0, 0),
+            _blend(e0, u_now, e1, u_old, i0, 1),
+        )
+        u1, v1 = (
+            _blend(e0, u_now, e1, u_old, i1, 0),
+            _blend(e0, u_now, e1, u_old, i1, 1),
+        )
+        u2, v2 = (
+            _blend(e0, u_now, e1, u_old, i2, 0),
+            _blend(e0, u_now, e1, u_old, i2, 1),
+        )
+        u3, v3 = (
+            _blend(e0, u_now, e1, u_old, i3, 0),
+            _blend(e0, u_now, e1, u_old, i3, 1),
+        )
+        u4, v4 = (
+            _blend(e0, u_now, e1, u_old, i4, 0),
+            _blend(e0, u_now, e1, u_old, i4, 1),
+        )
+        u5, v5 = (
+            _blend(e0, u_now, e1, u_old, i5, 0),
+            _blend(e0, u_now, e1, u_old, i5, 1),
+        )
         ux0, ux1, ux2, ue0, ue1, ue2 = _slopes(u0, u1, u2, u3, u4, u5)
         vx0, vx1, vx2, ve0, ve1, ve2 = _slopes(v0, v1, v2, v3, v4, v5)
         xx, xy, ex, ey = -inverse[t, 0], -inverse[t, 1], -inverse[t, 2], -inverse[t, 3]
@@ -135,32 +161,24 @@ def convection(nodes, inverse, e, out):
 
 
 @kernel
-def extrapolate(numbers, u, u_old, w, e):
-    """Set w = h0 u + h1 u_old (history of the time derivative) and e = e0 u + e1 u_old (advected velocity), eq. 5-6."""
-    h0, h1, e0, e1 = numbers[0], numbers[1], numbers[2], numbers[3]
-    for i in range(len(u)):
-        for c in range(2):
-            new, old = load(u, i, c), load(u_old, i, c)
-            store(w, i, c, fma(h0, new, mul(h1, old)))
-            store(e, i, c, fma(e0, new, mul(e1, old)))
-
-
-@kernel
-def momentum_forward(start, column, value, w, g_start, g_column, g_value, p, l_start, l_column, l_value, y):
-    """Add R w + G p to the first rows of y, and solve L y = y on the way (eq. 9)."""
-    for i in range(len(start) - 1):
-        u, v = load(y, i, 0), load(y, i, 1)
-        for k in range(start[i], start[i + 1]):
-            j, r = column[k], value[k]
-            u, v = fma(r, load(w, j, 0), u), fma(r, load(w, j, 1), v)
+def momentum_forward(
+    r_start, r_column, r_value, h0, u, h1, u_old, g_start, g_column, g_value, p, l_start, l_column, l_value, y
+):
+    """Add R (h0 u + h1 u_old) + G p to the first rows of y, and solve L y = y on the way (eq. 5, 9)."""
+    for i in range(len(r_start) - 1):
+        sx, sy = load(y, i, 0), load(y, i, 1)
+        for k in range(r_start[i], r_start[i + 1]):
+            j, r = r_column[k], r_value[k]
+            sx = fma(r, _blend(h0, u, h1, u_old, j, 0), sx)
+            sy = fma(r, _blend(h0, u, h1, u_old, j, 1), sy)
         for k in range(g_start[i], g_start[i + 1]):
             q = load(p, g_column[k], 0)
-            u, v = fma(g_value[k, 0], q, u), fma(g_value[k, 1], q, v)
+            sx, sy = fma(g_value[k, 0], q, sx), fma(g_value[k, 1], q, sy)
         for k in range(l_start[i], l_start[i + 1]):
             j, m = l_column[k], -l_value[k]
-            u, v = fma(m, load(y, j, 0), u), fma(m, load(y, j, 1), v)
-        store(y, i, 0, u)
-        store(y, i, 1, v)
+            sx, sy = fma(m, load(y, j, 0), sx), fma(m, load(y, j, 1), sy)
+        store(y, i, 0, sx)
+        store(y, i, 1, sy)
 
 
 @kernel
@@ -207,12 +225,13 @@ def product(start, column, value, x, component, out):
 
 
 @kernel
-def add_product(column, value, x, row, out):
-    """Add the sum over k of value[k, c] x[column[k], c] to out[row, c], for c = 0, 1."""
+def add_product(column, factor, value, x, row, out):
+    """Add factor times the sum over k of value[k, c] x[column[k], c] to out[row, c], for c = 0, 1."""
     s, t = load(out, row, 0), load(out, row, 1)
     for k in range(len(column)):
         j = column[k]
-        s, t = fma(value[k, 0], load(x, j, 0), s), fma(value[k, 1], load(x, j, 1), t)
+        s = fma(factor * value[k, 0], load(x, j, 0), s)
+        t = fma(factor * value[k, 1], load(x, j, 1), t)
     store(out, row, 0, s)
     store(out, row, 1, t)
 

@@ -54,33 +54,47 @@ def _build(gmsh, case: Case) -> Mesh:
     sides = [geo.addLine(corners[i], corners[(i + 1) % 4]) for i in range(4)]
     groups = {"wall": [sides[0], sides[2]], "outlet": [sides[1]], "inlet": [sides[3]]}
 
-    # arcs of the cylinder: jets, and what lies between them in pieces of at most 90 degrees
+    # rays from the cylinder cut the layers around it into patches: each jet, and what lies between in equal pieces
     edges = sorted(
         (jet.angle + sign * jet.width / 2, f"jet{i}" if sign < 0 else "cylinder")
         for i, jet in enumerate(case.jets)
         for sign in (-1, 1)
     ) or [(0.0, "cylinder")]
-    centre = geo.addPoint(0, 0, 0)
-    arcs: list[tuple[int, str, int]] = []
-    angles: list[tuple[float, str, int]] = []
+    rays: list[tuple[float, str, int]] = []
     for (start, name), (end, _) in zip(edges, [*edges[1:], (edges[0][0] + 360, "")], strict=True):
         pieces = 1 if name != "cylinder" else math.ceil((end - start) / 90)
         step = (end - start) / pieces
         facets = size.jet_facets if name != "cylinder" else round(math.radians(step) * r / size.cylinder)
-        angles += [(start + k * step, name, max(facets, 1)) for k in range(pieces)]
-    points = [geo.addPoint(r * math.cos(math.radians(a)), r * math.sin(math.radians(a)), 0) for a, _, _ in angles]
-    for k, (_, name, facets) in enumerate(angles):
-        arcs.append((geo.addCircleArc(points[k], centre, points[(k + 1) % len(points)]), name, facets))
-        groups.setdefault(name, []).append(arcs[-1][0])
-    surface = geo.addPlaneSurface([geo.addCurveLoop(sides), geo.addCurveLoop([arc for arc, _, _ in arcs])])
+        rays += [(start + k * step, name, max(facets, 1)) for k in range(pieces)]
+    heights = size.layer_height * size.layer_growth ** np.arange(size.layers)
+    outer = r + float(heights.sum())
+    centre = geo.addPoint(0, 0, 0)
+
+    def ring(radius: float) -> tuple[list[int], list[int]]:
+        at = [math.radians(angle) for angle, _, _ in rays]
+        points = [geo.addPoint(radius * math.cos(a), radius * math.sin(a), 0) for a in at]
+        return points, [geo.addCircleArc(points[k - 1], centre, points[k]) for k in [*range(1, len(points)), 0]]
+
+    ends = [*(angle for angle, _, _ in rays[1:]), rays[0][0] + 360]
+    pieces_of = [[math.radians(end - start) / n] * n for (start, _, n), end in zip(rays, ends, strict=True)]
+    vertex_radius = r * equal_area(np.concatenate(pieces_of))
+    (inner_points, inner_arcs), (outer_points, outer_arcs) = ring(vertex_radius), ring(outer)
+    spokes = [geo.addLine(a, b) for a, b in zip(inner_points, outer_points, strict=True)]
+    patches = []
+    for k, (_, name, facets) in enumerate(rays):
+        after = (k + 1) % len(rays)
+        loop = geo.addCurveLoop([inner_arcs[k], spokes[after], -outer_arcs[k], -spokes[k]])
+        patches.append(geo.addPlaneSurface([loop]))
+        for arc in (inner_arcs[k], outer_arcs[k]):
+            geo.mesh.setTransfiniteCurve(arc, facets + 1)
+        geo.mesh.setTransfiniteCurve(spokes[k], size.layers + 1, "Progression", size.layer_growth)
+        geo.mesh.setTransfiniteSurface(patches[-1], "AlternateLeft")
+        groups.setdefault(name, []).append(inner_arcs[k])
+    geo.addPlaneSurface([geo.addCurveLoop(sides), geo.addCurveLoop(outer_arcs)])
     geo.synchronize()
-    for arc, _, facets in arcs:
-        gmsh.model.mesh.setTransfiniteCurve(arc, facets + 1)
-    for name, curves in groups.items():
-        gmsh.model.addPhysicalGroup(1, curves, name=name)
 
     def triangle_size(dim, tag, x, y, z, default):
-        return _size(case, x, y)
+        return _size(case, outer, x, y)
 
     gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
     gmsh.option.setNumber("Mesh.MeshSizeFromPoints", 0)
@@ -100,15 +114,23 @@ def _build(gmsh, case: Case) -> Mesh:
     for name, curves in groups.items():
         tagged = [gmsh.model.mesh.getElementsByType(1, curve)[1] for curve in curves]
         boundaries[name] = np.array([number[int(tag)] for tag in np.concatenate(tagged)]).reshape(-1, 2)
-    del surface
     return _compact(xy, triangles, boundaries)
 
 
-def _size(case: Case, x: float, y: float) -> float:
-    """Return the wanted triangle size at a point."""
+def equal_area(angles: np.ndarray) -> float:
+    """Return the radius of a polygon's vertices that gives it the unit circle's area; angles of its facets, (f,).
+
+    A cylinder of straight facets through the circle is too small by the order of their length squared; this one is not.
+    """
+    return math.sqrt(2 * math.pi / np.sin(angles).sum())
+
+
+def _size(case: Case, outer: float, x: float, y: float) -> float:
+    """Return the wanted triangle size at a point outside the layers, which end at radius `outer`."""
     size = case.resolution
-    distance = math.hypot(x, y) - case.radius
-    near = size.cylinder + 0.12 * max(distance - 0.01, 0.0)
+    # faster where the flow comes from; slower downstream, where the shear layers roll up
+    growth = 0.16 - 0.04 * min(max(x / case.radius, 0.0), 1.0)
+    near = size.cylinder * outer / case.radius + growth * max(math.hypot(x, y) - outer, 0.0)
     wake = size.wake + 0.035 * max(x - 0.5, 0.0) + 0.25 * max(abs(y - 0.005) - 0.1, 0.0) + 0.3 * max(-x - 0.05, 0.0)
     return min(near, wake, size.far)
 
@@ -127,20 +149,23 @@ def _compact(points: np.ndarray, triangles: np.ndarray, boundaries: dict[str, np
 
 
 def refine(mesh: Mesh, case: Case) -> Mesh:
-    """Cut every triangle into four; new vertices of the cylinder go onto its circle."""
+    """Cut every triangle into four; the cylinder's vertices then go where they give its polygon the circle's area."""
     edges = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, inverse = np.unique(edges, axis=0, return_inverse=True)
     n = len(mesh.points)
-    middle = mesh.points[edges].mean(axis=1)
+    points = np.concatenate([mesh.points, mesh.points[edges].mean(axis=1)])
     number = {(int(a), int(b)): n + k for k, (a, b) in enumerate(edges)}
     boundaries = {}
     for name, facets in mesh.boundaries.items():
         mids = np.array([number[min(a, b), max(a, b)] for a, b in facets.tolist()])
         boundaries[name] = np.concatenate([np.c_[facets[:, 0], mids], np.c_[mids, facets[:, 1]]])
-        if name == "cylinder" or name.startswith("jet"):
-            chord = middle[mids - n]
-            middle[mids - n] = chord * (case.radius / np.linalg.norm(chord, axis=1))[:, None]
+    body = np.unique(
+        [v for name, f in boundaries.items() if name == "cylinder" or name[:3] == "jet" for v in f.ravel()]
+    )
+    angle = np.sort(np.arctan2(points[body, 1], points[body, 0]))
+    radius = case.radius * equal_area(np.diff(angle, append=angle[0] + 2 * math.pi))
+    points[body] *= (radius / np.linalg.norm(points[body], axis=1))[:, None]
     a, b, c = mesh.triangles.T
     ab, bc, ca = (n + inverse.reshape(-1, 3)).T
     triangles = np.concatenate([np.c_[a, ab, ca], np.c_[ab, b, bc], np.c_[ca, bc, c], np.c_[ab, bc, ca]])
-    return Mesh(np.concatenate([mesh.points, middle]), triangles, boundaries)
+    return Mesh(points, triangles, boundaries)

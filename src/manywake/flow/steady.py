@@ -85,13 +85,13 @@ def solve(case: Case, space: Space, tolerance: float = 1e-9, most: int = 30) -> 
 
 
 def pressure_at(space: Space, p: np.ndarray, points: list[tuple[float, float]]) -> np.ndarray:
-    """Return the pressure at points, those on or just inside the curved boundary read at the nearest vertex."""
+    """Return the pressure at points; those within 1e-3 of a vertex, as on the cylinder, are read at that vertex."""
     vertices = space.mesh.points
     values = []
     for point in points:
         distance = np.linalg.norm(vertices - np.asarray(point), axis=1)
         nearest = int(distance.argmin())
-        if distance[nearest] < 1e-9:
+        if distance[nearest] < 1e-3:
             values.append(p[nearest])
         else:
             values.append(float((space.pressure.probes(np.array([point]).T) @ p)[0]))

@@ -9,7 +9,6 @@ from manywake.flow.kernels import (
     add_product,
     add_scaled,
     convection,
-    extrapolate,
     fill,
     kernel,
     momentum_backward,
@@ -45,18 +44,18 @@ class State:
 
 
 @kernel
-def _advance(ops, u, u_old, p, phi, phi_old, w, e, y, jets, force):
+def _advance(ops, u, u_old, p, phi, phi_old, y, jets, force):
     """Take len(jets) steps. jets: (steps, jets) lanes. force: (steps, 2) lanes, receives C_D and C_L."""
+    h0, h1, e0, e1 = ops.numbers[0], ops.numbers[1], ops.numbers[2], ops.numbers[3]
     q1, q2, to_coefficient = ops.numbers[4], ops.numbers[5], ops.numbers[6]
     nf = len(ops.momentum.inverse_diagonal)
     mf = len(ops.poisson.inverse_diagonal)
-    extrapolate(ops.numbers, u, u_old, w, e)
     for s in range(len(jets)):
         # right-hand side: lifts of the boundary data, then convection (eq. 8)
         fill(ops.lift, y)
         for j in range(jets.shape[1]):
             add_scaled(ops.jet_lift_rows, ops.jet_lift[j], jets, s, j, y)
-        convection(ops.nodes, ops.inverse, e, y)
+        convection(ops.nodes, ops.inverse, e0, u, e1, u_old, y)
 
         # what of the force is known before u at t + dt (eq. 13)
         fx, fy = splat(0.0, force), splat(0.0, force)
@@ -67,7 +66,8 @@ def _advance(ops, u, u_old, p, phi, phi_old, w, e, y, jets, force):
             fx, fy = fma(mul(-ops.jet_thrust[j, 0], q), q, fx), fma(mul(-ops.jet_thrust[j, 1], q), q, fy)
         store(force, s, 0, fx)
         store(force, s, 1, fy)
-        add_product(ops.force_history.column, ops.force_history.value, w, s, force)
+        add_product(ops.force_history.column, h0, ops.force_history.value, u, s, force)
+        add_product(ops.force_history.column, h1, ops.force_history.value, u_old, s, force)
 
         # velocity at t + dt (eq. 9): boundary values, then the free nodes
         fill(ops.fixed, y[nf:])
@@ -77,7 +77,7 @@ def _advance(ops, u, u_old, p, phi, phi_old, w, e, y, jets, force):
             old = load(p, i, 0)
             store(phi_old, i, 0, fma(q1, load(phi, i, 0), fma(q2, load(phi_old, i, 0), old)))
         momentum_forward(
-            ops.history.start, ops.history.column, ops.history.value, w,
+            ops.history.start, ops.history.column, ops.history.value, h0, u, h1, u_old,
             ops.gradient.start, ops.gradient.column, ops.gradient.value, phi_old,
             ops.momentum.lower.start, ops.momentum.lower.column, ops.momentum.lower.value, y,
         )  # fmt: skip
@@ -95,7 +95,7 @@ def _advance(ops, u, u_old, p, phi, phi_old, w, e, y, jets, force):
         for i in range(mf):
             store(p, i, 0, fma(1.0, load(p, i, 0), load(phi, i, 0)))
 
-        add_product(ops.force_new.column, ops.force_new.value, y, s, force)
+        add_product(ops.force_new.column, 1.0, ops.force_new.value, y, s, force)
         for c in range(2):
             f = load(force, s, c)
             for k in range(len(ops.force_pressure.column)):
@@ -103,8 +103,7 @@ def _advance(ops, u, u_old, p, phi, phi_old, w, e, y, jets, force):
             store(force, s, c, mul(-to_coefficient, f))
 
         u, u_old, y = y, u, u_old
-        extrapolate(ops.numbers, u, u_old, w, e)
-    return u, u_old, y, phi, phi_old
+    return u, u_old, phi, phi_old
 
 
 def advance(ops: Operators, state: State, jets: np.ndarray) -> tuple[State, np.ndarray]:
@@ -122,8 +121,8 @@ def advance(ops: Operators, state: State, jets: np.ndarray) -> tuple[State, np.n
     flow_rates = simd.zeros((steps, count), width)
     simd.numbers(flow_rates)[...] = jets
     force = simd.zeros((steps, 2), width)
-    w, e, y = (simd.zeros(state.u.shape, width) for _ in range(3))
-    u, u_old, _, phi, phi_old = _advance(
-        ops.tables, state.u, state.u_old, state.p, state.phi, state.phi_old, w, e, y, flow_rates, force
+    y = simd.zeros(state.u.shape, width)
+    u, u_old, phi, phi_old = _advance(
+        ops.tables, state.u, state.u_old, state.p, state.phi, state.phi_old, y, flow_rates, force
     )
     return State(u, u_old, state.p, phi, phi_old), simd.numbers(force)

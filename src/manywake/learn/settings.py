@@ -12,7 +12,7 @@ class Learning:
 
     update_period: int = 20
     """Episodes per update, T_L of the paper."""
-    episodes: int = 640
+    episodes: int = 480
     """Episodes in all."""
     learning_rate: float = 5e-4
     """Adam's step at the first update."""
