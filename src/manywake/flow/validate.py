@@ -21,9 +21,9 @@ from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.case import BDF2, CASES, Case
 from manywake.flow.operators import Operators
 
-DURATION = 9.0
-"""How long the controlled flows run from the start state, about 27 shedding periods."""
-SETTLE = 3.0
+DURATION = 6.0
+"""How long the controlled flows run from the start state, about 18 shedding periods."""
+SETTLE = 2.0
 """What of it is not averaged: the start-up of the jets, and on the fine mesh the interpolated start state."""
 TOLERANCE = 0.02
 """Of the changes of C_D and C_L by the jets against those on the fine mesh."""
@@ -286,8 +286,14 @@ def _identity(case: Case, base: Baseline) -> dict[str, Any]:
 
 def interpolate(ops: Operators, start: Start, fine: Operators) -> Start:
     """Return a state on the refined mesh at half the time step, with the fine mesh's boundary values, jets off."""
-    velocity = ops.space.velocity.probes(fine.space.x.T)
-    pressure = ops.space.pressure.probes(fine.space.mesh.points.T)
+
+    def inside(points: np.ndarray) -> np.ndarray:
+        """Return points (2, k) with those on the cylinder, a finer polygon, moved to where the coarse mesh begins."""
+        distance = np.linalg.norm(points, axis=1)
+        return (points * (np.maximum(distance, 1.01 * ops.case.radius) / distance)[:, None]).T
+
+    velocity = ops.space.velocity.probes(inside(fine.space.x))
+    pressure = ops.space.pressure.probes(inside(fine.space.mesh.points))
     u, u_old = velocity @ start.u, velocity @ (0.5 * (start.u + start.u_old))
     for part in (u, u_old):
         part[fine.velocity_order[fine.free :]] = fine.tables.fixed
