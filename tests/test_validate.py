@@ -1,0 +1,32 @@
+"""The physics gate: every reference of `manywake validate` is met, and a wrong number would not be."""
+
+import pytest
+
+from manywake.flow import validate
+from manywake.flow.validate import Check
+
+
+def test_the_solver_meets_every_reference():
+    checks = validate.run()
+    assert len(checks) >= 20
+    failed = [f"{check.name}: {check.ours:.6g}, wanted {check.reference:.6g}" for check in checks if not check.passed]
+    assert not failed
+
+
+@pytest.mark.parametrize(
+    ("ours", "kind", "passed"),
+    [
+        (1.019, "relative", True),
+        (1.021, "relative", False),
+        (1.019, "absolute", True),
+        (1.021, "absolute", False),
+        (1.0, "at least", True),
+        (0.99, "at least", False),
+        (1.0, "at most", True),
+        (1.01, "at most", False),
+        (float("nan"), "relative", False),
+        (float("nan"), "at least", False),
+    ],
+)
+def test_a_check_passes_within_its_tolerance_only(ours, kind, passed):
+    assert Check("x", ours, 1.0, 0.02, kind, "").passed == passed
