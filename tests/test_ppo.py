@@ -107,4 +107,4 @@ def test_learning_rate_falls_linearly_with_the_episodes():
 
     model.train = remember
     model.learn(100 * HORIZON)
-    np.testing.assert_allclose(rates, 3e-3 * (1 - np.arange(1, 11) / 10), atol=1e-12)
+    np.testing.assert_allclose(rates, 3e-3 * (1 - np.arange(10) / 10), atol=1e-12)

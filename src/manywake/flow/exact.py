@@ -62,7 +62,7 @@ def solve(level: int, time_step: float, scheme: Scheme = BDF2) -> tuple[Operator
     The pressure is pinned at one vertex, where its increments are zero: what is stepped is p - p(pin). Boundary data
     are those of opposite sides alike, so that their interpolant has no net flux for the pin to swallow.
     """
-    jets = (Jet(0.0),) * 4
+    jets = tuple(Jet(angle) for angle in (0.0, 90.0, 180.0, 270.0))
     case = Case("vortex", REYNOLDS, jets, ((0.15, 0.15),), time_step, scheme)
     dt, nu = time_step, case.viscosity
     spaces = space.build(square(level))

@@ -1,7 +1,9 @@
 """The vector type of the kernels: `W` lanes, one flow in each, in one machine register (or a few).
 
-A lane array is a NumPy array whose dtype is `lanes(W)`: a record of `W` doubles. Its dtype carries the width, so
-numba compiles a kernel once per width, and inside the kernel `load` yields a value of LLVM type `<W x double>`.
+A lane array is a NumPy array whose dtype is `lanes(W)`: 8 W bytes, the doubles of one row. The dtype carries the width,
+so numba compiles a kernel once per width, and inside the kernel `load` yields a value of LLVM type `<W x double>`.
+(Bytes and not a record of doubles: numba names compiled code by its types, and names a record by a number that differs
+from process to process, so that cached kernels of two widths can get one name and be called for one another.)
 LLVM leaves an ordinary inner loop over lanes scalar; this type does not leave it the choice, nor the choice of
 contracting products and sums: a fused multiply-add happens where the kernel says `fma`, and nowhere else, so each
 lane sees the same rounding for every width and on every processor.
@@ -23,7 +25,7 @@ _CACHE_LINE = 64
 
 def lanes(width: int) -> np.dtype:
     """Return the dtype of one row of `width` lanes."""
-    return np.dtype([("lanes", np.float64, (width,))])
+    return np.dtype(f"S{8 * width}")
 
 
 def zeros(shape: tuple[int, ...], width: int) -> np.ndarray:
@@ -37,7 +39,7 @@ def zeros(shape: tuple[int, ...], width: int) -> np.ndarray:
 
 def numbers(array: np.ndarray) -> np.ndarray:
     """Return the lane array as plain doubles with the lane as last axis, sharing memory."""
-    return array["lanes"]
+    return array.view(np.float64).reshape(*array.shape, -1)
 
 
 class Vector(types.Type):
@@ -55,7 +57,7 @@ class _VectorModel(models.PrimitiveModel):
 
 
 def _width(array_type) -> int:
-    return array_type.dtype.typeof("lanes").shape[0]
+    return array_type.dtype.count // 8
 
 
 def _pointer(context, builder, array_type, array, indices):

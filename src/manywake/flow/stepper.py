@@ -1,6 +1,6 @@
 """Time stepping: incremental pressure correction (Goda 1979), first order or with BDF2 (Guermond et al. 2006)."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,16 +31,6 @@ class State:
     p: np.ndarray
     phi: np.ndarray
     phi_old: np.ndarray
-
-    def copy(self) -> "State":
-        """Return a state that shares no memory with this one."""
-        parts = []
-        for part in fields(self):
-            old = getattr(self, part.name)
-            new = simd.zeros(old.shape, simd.numbers(old).shape[-1])
-            new[...] = old
-            parts.append(new)
-        return State(*parts)
 
 
 @kernel

@@ -11,7 +11,7 @@ from gymnasium import Space
 from stable_baselines3 import PPO
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.common.utils import LinearSchedule, obs_as_tensor
+from stable_baselines3.common.utils import obs_as_tensor
 from stable_baselines3.common.vec_env import VecEnv
 
 from manywake.flow import space
@@ -53,6 +53,21 @@ class RunningNorm(BaseFeaturesExtractor):
         self.mean += delta * (count / new)
         self.variance.copy_(spread / new)
         self.count.fill_(new)
+
+
+class RateSchedule:
+    """The learning rate of an update, linear in the episodes collected before it.
+
+    SB3 asks after the update's own episodes have been counted, so their share is added back to what is left: the first
+    update is made at `learning_rate`, and none at `learning_rate_end`, which lies one update past the last.
+    """
+
+    def __init__(self, learning: Learning):
+        self.start, self.end = learning.learning_rate, learning.learning_rate_end
+        self.share = learning.update_period / learning.episodes
+
+    def __call__(self, progress_remaining: float) -> float:
+        return self.end + (self.start - self.end) * min(progress_remaining + self.share, 1.0)
 
 
 class SpacesOnly(VecEnv):
@@ -180,7 +195,7 @@ def build(
     model = EpisodicPPO(
         "MlpPolicy",
         SpacesOnly(observation_space, action_space),
-        learning_rate=LinearSchedule(learning.learning_rate, learning.learning_rate_end, 1.0),
+        learning_rate=RateSchedule(learning),
         n_steps=samples,
         batch_size=min(learning.batch_size, samples),
         n_epochs=learning.n_epochs,

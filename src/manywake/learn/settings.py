@@ -17,7 +17,7 @@ class Learning:
     learning_rate: float = 5e-4
     """Adam's step at the first update."""
     learning_rate_end: float = 0.0
-    """Adam's step after the last update; linear in the episode count between."""
+    """Adam's step one update past the last; linear in the episode count between."""
     n_epochs: int = 5
     batch_size: int = 400
     gamma: float = 0.99
