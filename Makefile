@@ -20,7 +20,8 @@ test: setup lint
 	$(BIN)/python -m pytest
 
 test-all: setup lint
-	$(BIN)/python -m pytest tests tests/slow
+	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest tests/slow
 
 lint: setup
 	$(BIN)/ruff check .

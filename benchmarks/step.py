@@ -3,6 +3,7 @@
 Run: manywake bench step --lanes 1 8 16 32 --json
 """
 
+import os
 import statistics
 import time
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ REPEATS = 7
 
 
 def measure(lanes: Sequence[int]) -> dict[str, Any]:
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     case, task = CASES["cylinder-jets"], Task()
     ops, base = baseline.assembled(case)
     rng = np.random.default_rng(0)
@@ -36,6 +38,7 @@ def measure(lanes: Sequence[int]) -> dict[str, Any]:
     return {
         "case": case.name,
         "elements": len(base.mesh.triangles),
+        "dofs": 2 * len(ops.velocity_order) + len(ops.pressure_order),
         "velocity_dofs": 2 * len(ops.velocity_order),
         "pressure_dofs": len(ops.pressure_order),
         "dt": case.time_step,

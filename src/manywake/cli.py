@@ -71,7 +71,7 @@ class Validate:
 
     case: CaseName = "cylinder-jets"
     recompute: bool = False
-    """Also recompute the reference of the controlled flows: twice as fine a mesh, half the time step (minutes)."""
+    """Also recompute the reference of the controlled flows: twice as fine a mesh, half the time step (12 minutes)."""
     json: Json = False
 
     def run(self) -> int:
@@ -127,6 +127,7 @@ class BaselineCommand:
             "flow_digest": base.flow_digest,
             "digest": base.digest(),
             "recipe": base.recipe,
+            "check": "content matches its hash and its case",
             "triangles": len(base.mesh.triangles),
             **dataclasses.asdict(base.shedding),
             "strouhal": base.shedding.strouhal,
@@ -162,21 +163,23 @@ def _evaluate(folder: Path, checkpoint: str, workers: int) -> dict:
 
     run = runs.Run(folder)
     settings = run.settings
+    run.check_baseline()
     engine = Threads(workers)
     with console.status("evaluating: deterministic policy, 4 episode lengths, 8 phases of shedding"):
         result = evaluate.evaluate(settings.case, settings.task, run.policy(checkpoint), engine)
     engine.close()
     numbers = result.summary()
-    runs.write_json(folder / "evaluation.json", numbers)
+    tail = "" if checkpoint == "last" else f"-{checkpoint}"
+    runs.write_json(folder / f"evaluation{tail}.json", numbers)
     ops, base = baseline.assembled(settings.case)
     plots.learning_curve(runs.read_episodes(folder), base, folder / "learning-curve.png")
-    plots.wake(ops, base, result, settings.task.max_flow_rate, folder / "wake.png")
+    plots.wake(ops, base, result, settings.task.max_flow_rate, folder / f"wake{tail}.png")
     return numbers
 
 
 def _report(numbers: dict) -> None:
     table = Table("", "one episode", "long run", "worst of 8 phases", title="deterministic policy, second halves")
-    worst = min(numbers["phases"], key=lambda control: control["drag_reduction"])
+    worst = min(numbers["phases"], key=lambda control: -1.0 if control["diverged"] else control["drag_reduction"])
     for key, label, style in (
         ("cd_uncontrolled", "C_D uncontrolled", ".4f"),
         ("cd_controlled", "C_D controlled", ".4f"),
@@ -186,7 +189,8 @@ def _report(numbers: dict) -> None:
         ("cl_rms", "C_L rms", ".3f"),
         ("jet_rms", "jet rms / limit", ".1%"),
     ):
-        table.add_row(label, *(format(row[key], style) for row in (numbers, numbers["long_run"], worst)))
+        cells = (numbers, numbers["long_run"], worst)
+        table.add_row(label, *("blew up" if row["diverged"] else format(row[key], style) for row in cells))
     Console().print(table)
 
 
@@ -221,14 +225,17 @@ class Train:
             bar = progress.add_task("episodes", total=self.learning.episodes, cd="C_D -", cl="C_L -")
 
             def show(episodes) -> None:
-                cd = sum(e.c_d[len(e.c_d) // 2 :].mean() for e in episodes) / len(episodes)
-                cl = sum(e.c_l[len(e.c_l) // 2 :].mean() for e in episodes) / len(episodes)
+                whole = [e for e in episodes if not e.terminated] or episodes
+                cd = sum(e.c_d[len(e.c_d) // 2 :].mean() for e in whole) / len(whole)
+                cl = sum(e.c_l[len(e.c_l) // 2 :].mean() for e in whole) / len(whole)
                 progress.update(bar, advance=len(episodes), cd=f"C_D {cd:.3f}", cl=f"C_L {cl:+.3f}")
 
-            trained = runs.train(folder, settings, engine, show)
-        engine.close()
+            try:
+                trained = runs.train(folder, settings, engine, show)
+            finally:
+                engine.close()
+        runs.write_json(folder / "training.json", dataclasses.asdict(trained))
         numbers = {**_evaluate(folder, "last", self.workers), **dataclasses.asdict(trained)}
-        runs.write_json(folder / "evaluation.json", numbers)
         _report(numbers)
         for share, when in trained.reached.items():
             text = "not reached" if when is None else f"{when[0]} episodes, {when[1] / 60:.1f} min"
@@ -275,7 +282,8 @@ def _print(numbers: dict, as_json: bool) -> None:
 def main() -> None:
     """Run the command line."""
     # the protocol chooses the defaults that the other options then override, so it is looked at first
-    named = dict(zip(sys.argv, sys.argv[1:], strict=False)).get("--protocol", "default")
+    words = [part for word in sys.argv[1:] for part in word.split("=", 1)]
+    named = dict(zip(words, words[1:], strict=False)).get("--protocol", "default")
     name = named if named in PROTOCOLS else "default"
     defaults = Train(*PROTOCOLS[name], protocol=name)  # type: ignore[arg-type]
     try:
@@ -289,6 +297,9 @@ def main() -> None:
             description="Active flow control by deep reinforcement learning, on many simulations at once.",
         )
         sys.exit(chosen.run())
+    except KeyboardInterrupt:
+        console.print("stopped")
+        sys.exit(130)
     except (ValueError, RuntimeError) as error:
         console.print(f"[red]error:[/] {error}", highlight=False, soft_wrap=True)
         sys.exit(2)

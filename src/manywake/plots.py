@@ -38,7 +38,7 @@ def learning_curve(episodes: dict[str, np.ndarray], base: Baseline, path: Path) 
         for row, (name, title) in enumerate((("c_d_second_half", "$C_D$"), ("c_l_second_half", "$C_L$"))):
             axis = axes[row, column]
             axis.plot(x, episodes[name], ".", color=CONTROLLED, alpha=0.25, markersize=4, label="an episode")
-            means = [episodes[name][rows].mean() for rows in batch]
+            means = [np.nanmean(episodes[name][rows]) for rows in batch]
             axis.plot([x[rows].max() for rows in batch], means, color=CONTROLLED, lw=2, label="mean of an update")
             axis.set_ylabel(f"{title}, 2nd half of episode")
             axis.set_xlabel(label)
@@ -87,7 +87,7 @@ def wake(ops: Operators, base: Baseline, evaluation: Evaluation, max_flow_rate: 
     time = (np.arange(len(trajectory.c_d)) + 1) * case.time_step
     period = _one_period(ops, base)
     phase = np.mod(time, base.shedding.period) / case.time_step - 1
-    free = [np.interp(phase, np.arange(len(period)), period[:, c], period=None) for c in range(2)]
+    free = [np.interp(phase, np.arange(len(period)), period[:, c]) for c in range(2)]
     figure = plt.figure(figsize=(11, 6.6))
     grid = figure.add_gridspec(3, 2, height_ratios=(1.05, 1, 1), hspace=0.55, wspace=0.18)
     pictures: list[tuple[str, Start]] = [("uncontrolled", base.start), ("controlled", trajectory.ends[0])]
@@ -109,11 +109,11 @@ def wake(ops: Operators, base: Baseline, evaluation: Evaluation, max_flow_rate: 
         axis.grid(alpha=0.25)
         axis.set_xlim(0, time[-1])
     drag.axhline(base.cd_steady, color=REFERENCE, lw=1, ls="--", label="steady base flow")
-    low = min(base.cd_steady, trajectory.c_d[:, 0].min())
-    drag.set_ylim(low - 0.03, 3.34)
+    low = min(base.cd_steady, np.nanmin(trajectory.c_d[:, 0]))
+    drag.set_ylim(low - 0.03, max(free[0].max(), np.nanmax(trajectory.c_d[:, 0])) + 0.12)
     drag.legend(ncols=3, loc="upper right", fontsize=9)
     drag.set_xticklabels([])
-    lift.set_xlabel(r"time [0.1 D/$\bar U$ = 1 unit of the paper's code]".replace("0.1 D", "10 D"))
+    lift.set_xlabel(r"time [10 D/$\bar U$, the paper's unit]")
     jets = lift.twinx()
     jets.plot(time, trajectory.jets[:, 0] / max_flow_rate, color="#7a9a4b", lw=0.8)
     jets.set_ylim(-1.05, 1.05)

@@ -1,6 +1,7 @@
 """The Gymnasium environments: a true batch of flows, and a single one, `manywake/CylinderJets-v0`."""
 
 import dataclasses
+import sys
 from typing import Any
 
 import gymnasium
@@ -12,6 +13,8 @@ from gymnasium.vector.utils import batch_space
 from manywake.env.task import PRESSURE_LIMIT, TASKS, ControlledFlow, Outcome, Task
 from manywake.flow import baseline, case
 from manywake.flow.case import Case
+
+COEFFICIENTS = "C = 2F / (rho U-bar^2 D), force on the body; drag positive downstream, lift positive up"
 
 
 def settings(case_or_name: Case | str, task_or_name: Task | str, overrides: dict[str, Any]) -> tuple[Case, Task]:
@@ -40,14 +43,18 @@ def spaces(chosen: Case, task: Task) -> tuple[Box, Box]:
     )
 
 
+def _say(what: str, share: float) -> None:
+    """Tell on the standard error how far the baseline of a new case is."""
+    print(f"\rmanywake: baseline, {what} {share:4.0%}", end="\n" if share >= 1 else "", file=sys.stderr, flush=True)
+
+
 def _checked(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
     array = np.asarray(actions, dtype=np.float64)
     if array.shape != shape:
-        raise ValueError(f"action: got shape {array.shape}, wanted {shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(
-            f"action: got {array.ravel()[~np.isfinite(array).ravel()][0]}, wanted finite numbers in [-1, 1]"
-        )
+        raise ValueError(f"action: got shape {array.shape}, wanted {shape}; one number in [-1, 1] per flow")
+    bad = array[~np.isfinite(array)]
+    if bad.size:
+        raise ValueError(f"action: got {bad[0]}, wanted finite numbers in [-1, 1]; check the policy's output")
     return array[..., 0]
 
 
@@ -57,11 +64,12 @@ class CylinderJetsVectorEnv(gymnasium.vector.VectorEnv):
     Observation (B, 151): pressures at the paper's probes. Action (B, 1) in [-1, 1]: the upper jet blows with flow
     rate Q1 = 0.01 a, the lower with Q2 = -Q1. Reward: see `manywake.env.task.REWARDS`. The horizon is `truncated`;
     a flow that blows up is `terminated` with a finite observation and a penalty. `info` has, for the last action,
-    c_d and c_l (means; C = 2F / (rho U-bar^2 D), drag positive downstream, lift positive up), jets (flow rates, blowing
-    positive), time and diverged.
+    c_d and c_l (means; C = 2F / (rho U-bar^2 D), drag positive downstream, lift positive up; absent before the first
+    action, NaN when the flow blew up), jets (flow rates, blowing positive), time and diverged. The convention stands in
+    `metadata["coefficients"]` too.
     """
 
-    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
+    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP, "coefficients": COEFFICIENTS}
 
     def __init__(
         self,
@@ -78,23 +86,27 @@ class CylinderJetsVectorEnv(gymnasium.vector.VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.task.steps(self.case.time_step)
-        ops, base = baseline.assembled(self.case)
+        ops, base = baseline.assembled(self.case, _say)
         self._flows = ControlledFlow(ops, base, self.task, num_envs)
         self._ended = np.zeros(num_envs, dtype=bool)
+        self._fresh = np.ones(num_envs, dtype=bool)
         self._last = Outcome.none(num_envs, self._flows.steps)
 
     def reset(self, *, seed=None, options: dict[str, Any] | None = None):
         """Put all flows (or those of options["reset_mask"]) back to the start state."""
         super().reset(seed=seed if not isinstance(seed, list) else seed[0], options=options)
         mask = (options or {}).get("reset_mask")
-        mask = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
-        if mask.shape != (self.num_envs,):
-            raise ValueError(f"reset_mask: got shape {mask.shape}, wanted ({self.num_envs},)")
+        mask = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask)
+        if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
+            raise ValueError(
+                f"reset_mask: got {mask}, wanted {self.num_envs} booleans, one per flow, at least one True"
+            )
         columns = np.flatnonzero(mask)
         self._flows.reset(columns)
         self._ended[columns] = False
         self._last = _cleared(self._last, columns)
-        return self._flows.observe(), self._info()
+        self._fresh[columns] = True
+        return self._flows.observe(), self._info(mask)
 
     def step(self, actions):
         """Advance every flow by one action interval; what happens at an episode's end is the autoreset mode's."""
@@ -107,8 +119,10 @@ class CylinderJetsVectorEnv(gymnasium.vector.VectorEnv):
             )
         resetting = np.flatnonzero(self._ended) if mode == AutoresetMode.NEXT_STEP else np.empty(0, int)
         outcome = self._last = self._flows.act(action)
+        self._fresh[:] = False
         if len(resetting):
             self._flows.reset(resetting)
+            self._fresh[resetting] = True
             outcome = self._last = _cleared(outcome, resetting)
         terminated, truncated = outcome.diverged.copy(), outcome.truncated.copy()
         observation, info = self._flows.observe(), self._info()
@@ -122,14 +136,16 @@ class CylinderJetsVectorEnv(gymnasium.vector.VectorEnv):
             self._flows.reset(columns)
             observation = self._flows.observe()
             self._last = _cleared(outcome, columns)
+            self._fresh[columns] = True
             info = self._info()
             info |= {"final_obs": final, "_final_obs": self._ended.copy()}
             info |= {"final_info": final_info, "_final_info": self._ended.copy()}
             self._ended = np.zeros(self.num_envs, dtype=bool)
         return observation, outcome.reward.copy(), terminated, truncated, info
 
-    def _info(self) -> dict[str, Any]:
-        """Return the info of the last action; C_D and C_L of a flow that has just been reset are 0."""
+    def _info(self, mask: np.ndarray | None = None) -> dict[str, Any]:
+        """Return the info of the last action, for the flows of `mask`; a fresh flow has no C_D and C_L yet."""
+        there = np.ones(self.num_envs, dtype=bool) if mask is None else mask
         flows = self._flows
         info: dict[str, Any] = {
             "c_d": self._last.c_d.copy(),
@@ -138,7 +154,8 @@ class CylinderJetsVectorEnv(gymnasium.vector.VectorEnv):
             "time": flows.actions * self.task.action_interval,
             "diverged": self._last.diverged.copy(),
         }
-        return info | {f"_{key}": np.ones(self.num_envs, dtype=bool) for key in list(info)}
+        present = {f"_{key}": there & ~self._fresh if key in ("c_d", "c_l") else there.copy() for key in info}
+        return info | present
 
 
 def _cleared(outcome: Outcome, columns: np.ndarray) -> Outcome:
@@ -153,7 +170,7 @@ def _cleared(outcome: Outcome, columns: np.ndarray) -> Outcome:
 class CylinderJetsEnv(gymnasium.Env):
     """One controlled cylinder flow: `CylinderJetsVectorEnv` with a batch of one."""
 
-    metadata = {"render_modes": []}
+    metadata = {"render_modes": [], "coefficients": COEFFICIENTS}
 
     def __init__(self, case: Case | str = "cylinder-jets", task: Task | str = "default", **overrides: Any):
         self._batch = CylinderJetsVectorEnv(1, case, task, AutoresetMode.DISABLED, **overrides)
@@ -176,7 +193,7 @@ class CylinderJetsEnv(gymnasium.Env):
 
 def _single(info: dict[str, Any]) -> dict[str, Any]:
     """Return the info of a batch of one without the batch axis."""
-    single = {key: value[0] for key, value in info.items() if not key.startswith("_")}
+    single = {key: value[0] for key, value in info.items() if not key.startswith("_") and info[f"_{key}"][0]}
     return {key: value.item() if value.ndim == 0 else value for key, value in single.items()}
 
 

@@ -153,7 +153,7 @@ class ControlledFlow:
         self.actions += 1
         # divergence shows in the forces first: a coefficient past 1000 is no flow any more
         diverged = ~(np.abs(coefficients) < 1e3).all(axis=(0, 1))
-        c_d, c_l = _means(np.where(diverged, 0.0, coefficients))
+        c_d, c_l = _means(np.where(diverged, np.nan, coefficients))
         reward = self._reward(c_d, c_l, self.cd_uncontrolled)
         # a flow that blows up is charged twice the uncontrolled drag to the end of its episode: it never pays
         left = self.task.actions_per_episode - self.actions + 1
@@ -167,9 +167,9 @@ class ControlledFlow:
 class Outcome:
     """What one action brought.
 
-    reward, c_d, c_l, jet, diverged, truncated: (B,), with C_D and C_L averaged over the action and the flow rate of the
-    first jet at its end. coefficients: (steps, 2, B), C_D and C_L of every solver step. jets: (steps, B), the first
-    jet's flow rate.
+    reward, c_d, c_l, jet, diverged, truncated: (B,), with C_D and C_L averaged over the action (NaN for a flow that
+    blew up) and the flow rate of the first jet at its end. coefficients: (steps, 2, B), C_D and C_L of every solver
+    step. jets: (steps, B), the first jet's flow rate.
     """
 
     reward: np.ndarray

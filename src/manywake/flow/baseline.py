@@ -7,9 +7,9 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
-from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,8 @@ FORMAT = 1
 MEAN_PERIODS = 12
 _CHUNK = 50
 _SAMPLE = 10
+_RECENT = 2.0
+"""Time over which the spin-up knows its own C_L: about six shedding periods."""
 
 Progress = Callable[[str, float], None]
 """progress(what, share done): called now and then by work that takes long."""
@@ -87,13 +89,13 @@ def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None)
     steps = int(round(case.spin_up / case.time_step))
     done, c_l = 0, np.zeros(0)
     while done < steps:
-        c_l = np.concatenate([c_l, _run(flow, _CHUNK)[:, 1]])[-4000:]
+        c_l = np.concatenate([c_l, _run(flow, _CHUNK)[:, 1]])[-int(_RECENT / case.time_step) :]
         done += _CHUNK
         report("spin-up", done / steps)
     # on to the next upward crossing of the middle of C_L, step by step: the start state has a defined phase
     level = 0.5 * (c_l.max() + c_l.min())
     previous = c_l[-1]
-    for _ in range(20000):
+    for _ in range(int(5 * _RECENT / case.time_step)):
         now = _run(flow, 1)[0, 1]
         if previous < level <= now:
             break
@@ -175,14 +177,19 @@ def save(baseline: Baseline, path: Path) -> None:
         raise
 
 
-def load(path: Path) -> Baseline:
-    """Read a baseline; ValueError when the file is damaged or its content is not what its hash says."""
+def load(path: Path, case: Case | None = None) -> Baseline:
+    """Read a baseline; ValueError when the file is damaged, is not what its hash says, or is of another flow."""
     try:
         baseline, digest = _read(path)
     except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"baseline: {path} is damaged ({error}); delete the file and run again") from error
     if baseline.digest() != digest:
         raise ValueError(f"baseline: the content of {path} does not match its hash; delete the file and run again")
+    if case is not None and baseline.flow_digest != case.flow_digest():
+        raise ValueError(
+            f"baseline: {path} is of another flow than case {case.name!r} has today; "
+            "make it anew with: manywake baseline --make FILE"
+        )
     return baseline
 
 
@@ -212,10 +219,9 @@ def shipped_path(case: Case) -> Path:
 
 def cache_path(case: Case) -> Path:
     """Return where the user's cache keeps the baseline of this case."""
-    return user_cache_path("manywake") / "baselines" / f"{case.flow_digest()[:32]}.npz"
+    return user_cache_path("manywake") / "baselines" / f"{FORMAT}-{case.flow_digest()[:32]}.npz"
 
 
-@lru_cache(maxsize=2)
 def get(case: Case, progress: Progress | None = None) -> Baseline:
     """Return the baseline of a case: the shipped one, else the cached one, else one made now and cached.
 
@@ -225,23 +231,22 @@ def get(case: Case, progress: Progress | None = None) -> Baseline:
     for name in CASES:
         path = shipped_path(CASES[name])
         if CASES[name].flow_digest() == case.flow_digest() and path.exists():
-            return load(path)
+            return load(path, case)
     path = cache_path(case)
     if path.exists():
-        return load(path)
+        return load(path, case)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(str(path) + ".lock")
-        lock.acquire()
+        held = FileLock(str(path) + ".lock").acquire()
     except OSError as error:
         raise RuntimeError(
             f"cache: cannot write {path.parent} ({error}); wanted a folder to keep the start state of case "
             f"{case.name!r} in; make it writable or set XDG_CACHE_HOME to one that is"
         ) from error
-    with lock:
+    with held:
         if not path.exists():
             save(make(case, _shipped_mesh(case), progress), path)
-    return load(path)
+    return load(path, case)
 
 
 def _shipped_mesh(case: Case) -> Mesh | None:
@@ -254,8 +259,14 @@ def _shipped_mesh(case: Case) -> Mesh | None:
     return None
 
 
-@lru_cache(maxsize=2)
-def assembled(case: Case) -> tuple[Operators, Baseline]:
-    """Return the operators and the baseline of a case, kept for the life of the process."""
-    base = get(case)
-    return operators.assemble(case, base.mesh), base
+_assembled: dict[Case, tuple[Operators, Baseline]] = {}
+_assembling = Lock()
+
+
+def assembled(case: Case, progress: Progress | None = None) -> tuple[Operators, Baseline]:
+    """Return the operators and the baseline of a case, made once and kept for the life of the process."""
+    with _assembling:
+        if case not in _assembled:
+            base = get(case, progress)
+            _assembled[case] = operators.assemble(case, base.mesh), base
+        return _assembled[case]

@@ -61,7 +61,7 @@ class Resolution:
     far: float = 0.06
     """At the end of the channel."""
     jet_facets: int = 2
-    """Facets across a jet; two resolve its flux to 0.1 % before scaling, one to 4 %."""
+    """Facets across a jet; two resolve its flux to 0.25 % before scaling, one to 4 %."""
 
 
 @dataclass(frozen=True)
@@ -117,8 +117,11 @@ class Case:
         if not 0 < self.time_step <= 6e-4:
             raise ValueError(
                 f"time_step: got {self.time_step:g}, wanted a value in (0, 6e-4]; explicit convection is unstable "
-                "above, on every mesh tried"
+                "above on the shipped mesh"
             )
+        # lists come from keyword arguments and JSON; tuples can be hashed
+        object.__setattr__(self, "probes", tuple((float(x), float(y)) for x, y in self.probes))
+        object.__setattr__(self, "jets", tuple(self.jets))
         edges = sorted((jet.angle % 360, jet.width) for jet in self.jets)
         for (angle, width), (after, next_width) in zip(edges, [*edges[1:], *edges[:1]], strict=True):
             gap = (after - angle) % 360 if len(edges) > 1 else 360.0
@@ -130,9 +133,13 @@ class Case:
             raise ValueError(f"spin_up: got {self.spin_up:g}, wanted a positive time; the street needs about 12")
         for i, (x, y) in enumerate(self.probes):
             inside = self.x_range[0] <= x <= self.x_range[1] and self.y_range[0] <= y <= self.y_range[1]
-            if not inside or math.hypot(x, y) < self.radius:
+            # the polygon of equal area reaches a little past the circle
+            if not inside or math.hypot(x, y) < 1.002 * self.radius:
                 where = "inside the cylinder" if inside else "outside the channel"
-                raise ValueError(f"probe {i}: got ({x:g}, {y:g}), which is {where}; wanted a point in the fluid")
+                raise ValueError(
+                    f"probe {i}: got ({x:g}, {y:g}), which is {where}; wanted a point in the fluid, at least "
+                    f"{1.002 * self.radius:g} from the centre, x in {self.x_range}, y in {self.y_range}"
+                )
 
     @property
     def diameter(self) -> float:

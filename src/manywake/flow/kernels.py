@@ -34,6 +34,8 @@ def kernel(function) -> Any:
     config.CACHE_DIR = before or _cache_folder()
     try:
         return numba.njit(error_model="numpy", nogil=True, cache=True)(function)
+    except RuntimeError:  # no folder to write to: compile in every process
+        return numba.njit(error_model="numpy", nogil=True)(function)
     finally:
         config.CACHE_DIR = before
 

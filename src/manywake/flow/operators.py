@@ -92,7 +92,7 @@ def _flatten(part) -> list[np.ndarray]:
 
 
 def assemble(case: Case, mesh: Mesh) -> Operators:
-    """Assemble and factor the operators of `case` on `mesh` (docs/numerics.md, eq. 4-13)."""
+    """Assemble and factor the operators of `case` on `mesh` (docs/numerics.md, eq. 4-14)."""
     space = spaces.build(mesh)
     jet_names = [f"jet{i}" for i in range(len(case.jets))]
     body_names = ["cylinder", *jet_names]

@@ -16,7 +16,7 @@ from manywake.flow.kernels import (
     pressure_solve,
 )
 from manywake.flow.operators import Operators
-from manywake.flow.simd import fma, load, mul, splat, store, sub
+from manywake.flow.simd import add, fma, load, mul, splat, store, sub
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def _advance(ops, u, u_old, p, phi, phi_old, y, jets, force):
             add_scaled(ops.jet_lift_rows, ops.jet_lift[j], jets, s, j, y)
         convection(ops.nodes, ops.inverse, e0, u, e1, u_old, y)
 
-        # what of the force is known before u at t + dt (eq. 13)
+        # what of the force is known before u at t + dt (eq. 14)
         fx, fy = splat(0.0, force), splat(0.0, force)
         for k in range(len(ops.body)):
             fx, fy = sub(fx, load(y, ops.body[k], 0)), sub(fy, load(y, ops.body[k], 1))
@@ -83,7 +83,7 @@ def _advance(ops, u, u_old, p, phi, phi_old, y, jets, force):
             ops.poisson.inverse_diagonal, phi,
         )  # fmt: skip
         for i in range(mf):
-            store(p, i, 0, fma(1.0, load(p, i, 0), load(phi, i, 0)))
+            store(p, i, 0, add(load(p, i, 0), load(phi, i, 0)))
 
         add_product(ops.force_new.column, 1.0, ops.force_new.value, y, s, force)
         for c in range(2):
@@ -102,7 +102,7 @@ def advance(ops: Operators, state: State, jets: np.ndarray) -> tuple[State, np.n
     jets: (steps, jets, lanes) flow rates held during each step, blowing positive. Consumes `state` (its arrays are
     reused). Returns the new state and the coefficients (steps, 2, lanes): C_D and C_L = 2F / (rho U^2 D) of the force
     on the body, drag positive downstream, lift positive up. A flow that is no longer finite stays in its lane and
-    harms nobody. Method: docs/numerics.md, eq. 4-13.
+    harms nobody. Method: docs/numerics.md, eq. 4-14.
     """
     steps, count, width = jets.shape
     expected = (len(ops.case.jets), simd.numbers(state.u).shape[-1])

@@ -27,7 +27,7 @@ class Control:
     cd_uncontrolled: mean over whole periods of the same mesh and time step. cd_steady: C_D of the steady base flow.
     drag_reduction: (cd_uncontrolled - cd_controlled) / cd_uncontrolled. share_of_shedding_drag: (cd_uncontrolled -
     cd_controlled) / (cd_uncontrolled - cd_steady). cl_rms, jet_rms: root mean squares about zero, the jet's in units
-    of its limit.
+    of its limit. diverged: the flow blew up, and the numbers mean nothing.
     """
 
     cd_uncontrolled: float
@@ -38,6 +38,7 @@ class Control:
     cl_mean: float
     cl_rms: float
     jet_rms: float
+    diverged: bool
 
 
 @dataclass(frozen=True)
@@ -65,10 +66,15 @@ class Evaluation:
     def summary(self) -> dict[str, Any]:
         """Return the numbers: the episode's at the top, the others by name."""
         return {
-            **asdict(self.episode),
-            "long_run": asdict(self.long_run),
-            "phases": [asdict(control) for control in self.phases],
+            **_plain(self.episode),
+            "long_run": _plain(self.long_run),
+            "phases": [_plain(control) for control in self.phases],
         }
+
+
+def _plain(control: Control) -> dict[str, Any]:
+    """Return the fields with None for what is not a number, as JSON wants it."""
+    return {key: value if np.isfinite(value) else None for key, value in asdict(control).items()}
 
 
 def play(case: Case, task: Task, policy: Policy, starts: list[Start], actions: int) -> Trajectory:
@@ -99,6 +105,7 @@ def control(base: Baseline, task: Task, c_d: np.ndarray, c_l: np.ndarray, jets: 
         cl_mean=float(np.mean(c_l)),
         cl_rms=float(np.sqrt(np.mean(c_l**2))),
         jet_rms=float(np.sqrt(np.mean(jets**2)) / task.max_flow_rate),
+        diverged=not np.isfinite(c_d).all(),
     )
 
 

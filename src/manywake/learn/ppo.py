@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -20,6 +19,9 @@ from manywake.learn.policy import NORMALISED_LIMIT, Policy
 from manywake.learn.rollout import Episode
 from manywake.learn.settings import Learning
 
+VARIANCE_FLOOR = 1e-8
+"""Added to the variance of an observation before it is divided by its root."""
+
 
 class RunningNorm(BaseFeaturesExtractor):
     """Normalises observations by running statistics that are buffers of the policy: frozen while it plays."""
@@ -34,12 +36,8 @@ class RunningNorm(BaseFeaturesExtractor):
         self.register_buffer("variance", torch.ones(self.features_dim, dtype=torch.float64))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
 
-    def deviation(self) -> torch.Tensor:
-        """Return the standard deviation that observations are divided by."""
-        return torch.sqrt(self.variance + 1e-8)
-
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        scaled = (observations.double() - self.mean) / self.deviation()
+        scaled = (observations.double() - self.mean) / torch.sqrt(self.variance + VARIANCE_FLOOR)
         return scaled.clamp(-NORMALISED_LIMIT, NORMALISED_LIMIT).float()
 
     @torch.no_grad()
@@ -161,9 +159,9 @@ class EpisodicPPO(PPO):
         assert self.ep_info_buffer is not None
         for episode in episodes:
             self.ep_info_buffer.append({"r": float(episode.rewards.sum()), "l": len(episode.rewards)})
-        half = [len(episode.c_d) // 2 for episode in episodes]
-        self.logger.record("flow/cd_mean", np.mean([e.c_d[h:].mean() for e, h in zip(episodes, half, strict=True)]))
-        self.logger.record("flow/cl_mean", np.mean([e.c_l[h:].mean() for e, h in zip(episodes, half, strict=True)]))
+        for name in ("c_d", "c_l"):
+            series = [getattr(e, name)[len(e.c_d) // 2 :].mean() for e in episodes if not e.terminated]
+            self.logger.record(f"flow/{name}", np.mean(series) if series else np.nan)
         self.logger.record("flow/jet_rms", np.sqrt(np.mean([(e.jets**2).mean() for e in episodes])))
         self.logger.record("flow/diverged", sum(e.terminated for e in episodes))
         seed_update(self.collector.run_seed, self.version)
@@ -186,9 +184,7 @@ def seed_update(run_seed: int, version: int) -> None:
     torch.manual_seed(int(words[1]))
 
 
-def build(
-    observation_space: Space, action_space: Space, learning: Learning, collector: Collector, **extra: Any
-) -> EpisodicPPO:
+def build(observation_space: Space, action_space: Space, learning: Learning, collector: Collector) -> EpisodicPPO:
     """Make the learner; its first weights depend on the run seed only."""
     torch.set_num_threads(learning.learner_threads)
     samples = learning.update_period * collector.task.actions_per_episode
@@ -213,7 +209,6 @@ def build(
         },
         seed=collector.run_seed,
         device="cpu",
-        **extra,
     )
     model.collector, model.learning, model.hooks = collector, learning, Hooks()
     model.horizon = collector.task.actions_per_episode
@@ -227,22 +222,22 @@ def normaliser(model: PPO) -> RunningNorm:
     return extractor
 
 
-def snapshot(model: PPO, version: int | None = None) -> Policy:
-    """Return the policy as plain arrays."""
-    policy: Any = model.policy
-    norm = normaliser(model)
+def snapshot(model: PPO) -> Policy:
+    """Return the policy of a model as plain arrays."""
+    return from_state(model.policy.state_dict(), getattr(model, "version", 0))
 
-    def array(tensor: torch.Tensor) -> np.ndarray:
-        return tensor.detach().cpu().numpy().astype(np.float64)
 
-    linear = [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, torch.nn.Linear)]
-    linear.append(policy.action_net)
-    log_std = array(policy.log_std)
+def from_state(state: dict[str, torch.Tensor], version: int = 0) -> Policy:
+    """Return the policy as plain arrays, from the tensors of `policy.pth` in a checkpoint."""
+    values = {name: tensor.detach().cpu().numpy().astype(np.float64) for name, tensor in state.items()}
+    hidden = [name for name in values if name.startswith("mlp_extractor.policy_net") and name.endswith(".weight")]
+    layers = [name.removesuffix(".weight") for name in [*hidden, "action_net.weight"]]
+    log_std = values["log_std"]
     return Policy(
-        getattr(model, "version", 0) if version is None else version,
-        array(norm.mean),
-        array(norm.deviation()),
-        tuple((array(layer.weight), array(layer.bias)) for layer in linear),
+        version,
+        values["features_extractor.mean"],
+        np.sqrt(values["features_extractor.variance"] + VARIANCE_FLOOR),
+        tuple((values[f"{layer}.weight"], values[f"{layer}.bias"]) for layer in layers),
         log_std,
         np.exp(log_std),
     )

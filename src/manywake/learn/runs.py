@@ -23,7 +23,7 @@ from manywake.flow import baseline
 from manywake.flow.case import Case, Jet, Resolution, Scheme
 from manywake.learn import ppo
 from manywake.learn.collect import Collector
-from manywake.learn.engine import Engine, Threads
+from manywake.learn.engine import Engine
 from manywake.learn.ppo import EpisodicPPO
 from manywake.learn.rollout import Episode
 from manywake.learn.settings import Learning, Settings
@@ -65,11 +65,18 @@ class Run:
             raise ValueError(
                 f"checkpoint: {path} is not there; wanted one of {sorted(p.stem for p in path.parent.glob('*.zip'))}"
             )
-        settings = self.settings
-        model = _model(settings, Threads(1))
         with zipfile.ZipFile(path) as archive, archive.open("policy.pth") as file:
-            model.policy.load_state_dict(torch.load(file, weights_only=True))
-        return ppo.snapshot(model)
+            return ppo.from_state(torch.load(file, weights_only=True))
+
+    def check_baseline(self) -> None:
+        """Raise ValueError when the flow of this run is not the one its case has today."""
+        kept, today = baseline.load(self.folder / "baseline.npz"), baseline.get(self.settings.case)
+        if kept.digest() != today.digest():
+            raise ValueError(
+                f"run: {self.folder} was made from baseline {kept.digest()[:12]}, "
+                f"the case has {today.digest()[:12]} today; "
+                "evaluate it with the version of manywake that made it (settings.json has it)"
+            )
 
 
 def _case(data: dict[str, Any]) -> Case:
@@ -98,7 +105,8 @@ def _model(settings: Settings, engine: Engine) -> EpisodicPPO:
 class Trained:
     """What a training leaves: wall time and policy hash, and when it first got below shares of the drag.
 
-    reached: drag reduction (of a batch's exploring episodes, second halves) -> (episodes, seconds), or None.
+    reached: drag reduction, of the exploring episodes of an update (second halves, so the noise's drag is in it), ->
+    (episodes, seconds), or None.
     """
 
     wall_time_s: float
@@ -126,11 +134,13 @@ class Watch(ppo.Hooks):
         with open(self.run.folder / "episodes.csv", "a", newline="") as file:
             csv.writer(file).writerows(rows)
         # the policy that played these episodes, before the update made of them
+        save(model, self.run.checkpoints / "last.zip")
         score = float(np.mean([episode.rewards.sum() for episode in episodes]))
         if score > self.best:
             self.best = score
             save(model, self.run.checkpoints / "best.zip")
-        reduction = 1 - np.mean([row[COLUMNS.index("c_d_second_half")] for row in rows]) / self.cd_uncontrolled
+        whole = [row[COLUMNS.index("c_d_second_half")] for row in rows if not row[COLUMNS.index("terminated")]]
+        reduction = 1 - np.mean(whole) / self.cd_uncontrolled if whole else 0.0
         for share, when in self.reached.items():
             if when is None and reduction >= float(share):
                 self.reached[share] = (episodes[-1].index + 1, wall)
@@ -143,10 +153,7 @@ def _row(episode: Episode, task: Task, wall: float) -> list:
         episode.policy_version,
         len(episode.c_d),
         float(episode.rewards.sum()),
-        float(episode.c_d.mean()),
-        float(episode.c_d[half:].mean()),
-        float(episode.c_l.mean()),
-        float(episode.c_l[half:].mean()),
+        *(float(part.mean()) for part in (episode.c_d, episode.c_d[half:], episode.c_l, episode.c_l[half:])),
         float(np.sqrt(np.mean(episode.jets**2)) / task.max_flow_rate),
         int(episode.terminated),
         round(episode.flow_seconds, 3),
@@ -169,19 +176,19 @@ def train(
     run = Run(folder)
     try:
         run.checkpoints.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / ".lock", timeout=0)
-        lock.acquire()
+        held = FileLock(folder / ".lock", timeout=0).acquire()
     except Timeout:
         raise ValueError(f"run: {folder} is being written by another training; choose another --run") from None
     except OSError as error:
         raise ValueError(f"run: cannot write {folder} ({error}); choose another --run") from error
-    with lock:
+    with held:
         if (folder / "settings.json").exists():
             raise ValueError(f"run: {folder} already holds a training; choose another --run or delete it")
-        base = baseline.get(settings.case)
+        ops, base = baseline.assembled(settings.case)
         described = {
             **asdict(settings),
             "baseline": base.digest(),
+            "operators": ops.digest,
             "versions": {name: version(name) for name in ("manywake", "numba", "numpy", "stable-baselines3", "torch")},
             "python": platform.python_version(),
         }
@@ -203,7 +210,7 @@ def train(
 def write_json(path: Path, data: dict[str, Any]) -> None:
     """Write JSON, whole or not at all."""
     temporary = path.with_suffix(".partial")
-    temporary.write_text(json.dumps(data, indent=1) + "\n")
+    temporary.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
     os.replace(temporary, path)
 
 
