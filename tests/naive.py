@@ -1,7 +1,7 @@
 """The slow, obvious twin of every kernel: plain NumPy on dense matrices, scikit-fem forms, one flow at a time.
 
 A lane array becomes an ordinary one here, the lane as its last axis. `step` is the whole time step of
-docs/numerics.md, eq. 4-13, in scikit-fem's numbering and with dense solves.
+docs/numerics.md, eq. 4-14, in scikit-fem's numbering and with dense solves.
 """
 
 import numpy as np
@@ -36,9 +36,9 @@ def convection(space, e, out):
     return out - np.stack([convection_form(space, e[:, :, b]) for b in range(e.shape[-1])], axis=-1)
 
 
-def extrapolate(history, extrapolation, u, u_old):
-    """Return w and e."""
-    return history[0] * u + history[1] * u_old, extrapolation[0] * u + extrapolation[1] * u_old
+def blend(weights, u, u_old):
+    """Return the combination of two velocities: w or e."""
+    return weights[0] * u + weights[1] * u_old
 
 
 def momentum_forward(R, w, G, p, L, y):
@@ -72,12 +72,12 @@ def product(matrix, x, component):
     return (matrix @ x[:, component])[:, None]
 
 
-def add_product(column, value, x, row, out):
-    """Return out with the sums over k of value[k, c] x[column[k], c] added to out[row, c]."""
+def add_product(column, factor, value, x, row, out):
+    """Return out with factor times the sums over k of value[k, c] x[column[k], c] added to out[row, c]."""
     out = out.copy()
     for k, j in enumerate(column):
         for c in range(2):
-            out[row, c] = out[row, c] + value[k, c] * x[j, c]
+            out[row, c] = out[row, c] + factor * value[k, c] * x[j, c]
     return out
 
 
@@ -109,7 +109,8 @@ def step(case, space, start, jets, profiles, boundaries):
     n, m = M.shape[0], space.pressure_stiffness.shape[0]
     a, theta = scheme.new, scheme.implicit
 
-    w, e = extrapolate(scheme.history, scheme.extrapolation, start.u, start.u_old)
+    w = blend(scheme.history, start.u, start.u_old)
+    e = blend(scheme.extrapolation, start.u, start.u_old)
     p_star = start.p + scheme.pressure[0] * start.phi + scheme.pressure[1] * start.phi_old
     C = convection_form(space, e)
     A = a / dt * M + theta * nu * K

@@ -243,7 +243,8 @@ def test_jets_are_10_degrees_wide_radial_and_at_90_and_270(ops, profiles):
         for edge in (centre - 5, centre + 5):
             assert abs(angle - edge).min() < 1e-9
         assert (abs(angle - centre) < 5 + 1e-9).all()
-        np.testing.assert_allclose(np.hypot(*ends.T), radius, rtol=1e-12)
+        # on the polygon of the circle's area, a tenth of a per cent outside the circle at the most
+        assert (np.hypot(*ends.T) > radius).all() and (np.hypot(*ends.T) < 1.0015 * radius).all()
         u = profiles[0][i]
         np.testing.assert_allclose(u[:, 0] * x[:, 1], u[:, 1] * x[:, 0], atol=1e-12)
         blowing = np.flatnonzero(abs(u).max(axis=1))

@@ -2,6 +2,10 @@
 
 from fractions import Fraction
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -79,4 +83,25 @@ def test_lane_arrays_are_zero_aligned_and_seen_as_numbers(width):
     assert simd.numbers(array).shape == (5, 2, width)
     assert not simd.numbers(array).any()
     simd.numbers(array)[4, 1, width - 1] = 3.0
-    assert array["lanes"][4, 1, width - 1] == 3.0
+    assert array.view(np.float64)[4, 2 * width - 1] == 3.0
+
+
+CALL = """
+import sys
+import numpy as np
+from manywake.flow import simd
+from manywake.flow.kernels import product
+
+for width in map(int, sys.argv[1:]):
+    x, out = simd.zeros((2, 1), width), simd.zeros((1, 1), width)
+    simd.numbers(x)[...] = [[[3.0]], [[4.0]]]
+    product(np.array([0, 2], np.uint32), np.array([0, 1], np.uint32), np.array([1.0, 2.0]), x, 0, out)
+    assert (simd.numbers(out) == 11.0).all(), (width, simd.numbers(out))
+"""
+
+
+def test_kernels_cached_by_different_processes_are_not_mistaken_for_one_another(tmp_path):
+    """Each process caches one width; a third takes both from the cache. Compiled names must tell them apart."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    for widths in (["8"], ["1"], ["8", "1", "8"], ["1", "8"]):
+        subprocess.run([sys.executable, "-c", CALL, *widths], check=True, env=environment)
