@@ -10,7 +10,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from manywake.env import env as envs
 from manywake.env import task as tasks
 from manywake.env.env import CylinderJetsEnv, CylinderJetsVectorEnv
 from manywake.env.task import PAPER, PRESSURE_LIMIT, REWARDS, TASKS, ControlledFlow, Task

@@ -1,10 +1,9 @@
 """The vector type: loads, stores and arithmetic of every width, one rounding each, lanes apart."""
 
-from fractions import Fraction
-
 import os
 import subprocess
 import sys
+from fractions import Fraction
 
 import numpy as np
 import pytest

@@ -53,7 +53,7 @@ def solve(case: Case, space: Space, tolerance: float = 1e-9, most: int = 30) -> 
     def residual_and_jacobian(x, nu, convect):
         u, v = x[:n], x[n : 2 * n]
         ux, vx = basis.interpolate(u), basis.interpolate(v)
-        C = _advection.assemble(basis, ax=ux.value, ay=vx.value) if convect else sp.csr_matrix((n, n))
+        C = _advection.assemble(basis, ax=ux, ay=vx) if convect else sp.csr_matrix((n, n))
         A = nu * space.stiffness + C
         stokes = sp.bmat([[A, None, -Bx.T], [None, A, -By.T], [-Bx, -By, None]], format="csr")
         residual = stokes @ x
