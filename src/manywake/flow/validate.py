@@ -49,8 +49,9 @@ FORCINGS: dict[str, list[Forcing]] = {
 """The flow rate of the first jet, the second has its negative: one column of the batch each.
 
 At 3.6 per unit of time shedding does not lock to the jets: the flow has two frequencies, and five of one almost meet
-six of the other, a beat of some twelve units that would take a hundred to average out. Four columns whose forcing is a
-quarter of a cycle apart meet it at four phases at once, so that their mean is free of it.
+six of the other. Four columns whose forcing is a quarter of a cycle apart meet that beat at four phases at once. What
+their mean still has is the start-up, common to all four, which swings by a third of the change with a period of two
+units and needs a window of eight: DURATION is too short for it, and longer was too dear (docs/results.md).
 """
 
 REFERENCE = Path(str(files("manywake") / "data" / "controlled-reference.json"))
