@@ -15,7 +15,7 @@ NOT_SHOWN_YET = {
 
 def test_the_solver_meets_every_reference_but_those_not_shown_yet():
     checks = validate.run()
-    assert len(checks) == 27
+    assert len(checks) == 25
     failed = {check.name: (check.ours, check.reference) for check in checks if not check.passed}
     assert set(failed) == NOT_SHOWN_YET, failed
 
