@@ -94,11 +94,11 @@ def errors(ops: Operators, state: Start) -> tuple[float, float]:
     """Return the L2 errors of velocity and pressure (up to a constant) at DURATION."""
     nu = ops.case.viscosity
     fine = skfem.Basis(ops.space.velocity.mesh, skfem.ElementTriP2(), intorder=8)
-    points = fine.global_coordinates().value.reshape(2, -1).T
+    points = np.asarray(fine.global_coordinates()).reshape(2, -1).T
     shape, weight = fine.dx.shape, fine.dx
     u = velocity(points, DURATION, nu)
-    squares = sum((fine.interpolate(state.u[:, c]).value - u[:, c].reshape(shape)) ** 2 for c in range(2))
-    e = fine.with_element(skfem.ElementTriP1()).interpolate(state.p).value
+    squares = sum((np.asarray(fine.interpolate(state.u[:, c])) - u[:, c].reshape(shape)) ** 2 for c in range(2))
+    e = np.asarray(fine.with_element(skfem.ElementTriP1()).interpolate(state.p))
     e = e - pressure(points, DURATION, nu).reshape(shape)
     e = e - np.sum(e * weight) / np.sum(weight)
     return float(np.sqrt(np.sum(squares * weight))), float(np.sqrt(np.sum(e**2 * weight)))
