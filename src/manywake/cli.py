@@ -1,7 +1,11 @@
-"""The command line: manywake validate | baseline | train | evaluate | bench. Strings become objects here."""
+"""The command line: manywake validate | baseline | train | resume | evaluate | replay | bench.
+
+Strings become objects here.
+"""
 
 import dataclasses
 import json
+import signal
 import sys
 import time
 from dataclasses import dataclass
@@ -25,7 +29,9 @@ from manywake.env.task import Task
 from manywake.flow import baseline, case
 from manywake.flow.baseline import Baseline
 from manywake.flow.case import CASES
-from manywake.learn.settings import PROTOCOLS, Learning, Settings
+from manywake.learn.collect import Layout, layout
+from manywake.learn.engine import Engine
+from manywake.learn.settings import PROTOCOLS, Collection, Learning, Settings
 
 console = Console(stderr=True)
 
@@ -160,20 +166,22 @@ def _evaluate(folder: Path, checkpoint: str, workers: int) -> dict:
     from manywake import plots
     from manywake.learn import evaluate, runs
     from manywake.learn.engine import Threads
+    from manywake.learn.rollout import JetFlows
 
     run = runs.Run(folder)
-    settings = run.settings
-    run.check_baseline()
+    simulation = run.simulation()
+    if not isinstance(simulation, JetFlows):
+        raise ValueError(f"evaluate: {folder} is of {run.settings.env!r}; wanted a run of a cylinder's flow")
     engine = Threads(workers)
     with console.status("evaluating: deterministic policy, 4 episode lengths, 8 phases of shedding"):
-        result = evaluate.evaluate(settings.case, settings.task, run.policy(checkpoint), engine)
+        result = evaluate.evaluate(simulation, run.policy(checkpoint), engine)
     engine.close()
     numbers = result.summary()
     tail = "" if checkpoint == "last" else f"-{checkpoint}"
     runs.write_json(folder / f"evaluation{tail}.json", numbers)
-    ops, base = baseline.assembled(settings.case)
+    ops, base = simulation.operators, simulation.baseline
     plots.learning_curve(runs.read_episodes(folder), base, folder / "learning-curve.png")
-    plots.wake(ops, base, result, settings.task.max_flow_rate, folder / f"wake{tail}.png")
+    plots.wake(ops, base, result, simulation.task.max_flow_rate, folder / f"wake{tail}.png")
     return numbers
 
 
@@ -194,58 +202,191 @@ def _report(numbers: dict) -> None:
     Console().print(table)
 
 
+def _engine(how: Collection, plan: Layout) -> Engine:
+    from manywake.learn.engine import Processes, Threads
+
+    if how.engine == "ray":
+        from manywake.learn.ray_engine import Ray
+
+        return Ray(plan.workers, how.address, how.cpus_per_env)
+    if how.engine == "processes":
+        return Processes(plan.workers)
+    return Threads(1 if how.engine == "serial" else plan.workers)
+
+
+def _layout(how: Collection, period: int) -> Layout:
+    found = layout(how.envs, how.workers, how.lanes, period)
+    console.print(f"{found}; {how.engine}; {how.schedule}, {how.clock} clock", soft_wrap=True)
+    return found
+
+
+def _watched(work, folder: Path, total: int, done: int, as_json: bool, evaluated: bool) -> int:
+    """Run a training with a progress bar, then evaluate it; work(show) trains."""
+    from manywake.learn import runs
+
+    with _progress("shares", "numbers") as progress:
+        bar = progress.add_task("episodes", total=total, completed=done, shares="", numbers="")
+
+        def show(episodes, shares, failures) -> None:
+            progress.update(
+                bar,
+                advance=len(episodes),
+                numbers=_numbers(episodes, failures),
+                shares=_shares(dataclasses.asdict(shares)),
+            )
+
+        try:
+            trained = work(show)
+        except KeyboardInterrupt:
+            progress.stop()
+            console.print(f"stopped; what was learnt is kept, go on with: manywake resume {folder}")
+            return 130
+    numbers = dataclasses.asdict(trained)
+    runs.write_json(folder / "training.json", numbers)
+    if evaluated:
+        numbers = {**_evaluate(folder, "last", 2), **numbers}
+        _report(numbers)
+        for share, when in trained.reached.items():
+            text = "not reached" if when is None else f"{when[0]} episodes, {when[1] / 60:.1f} min"
+            console.print(f"while exploring, {float(share):.1%} drag reduction after: {text}")
+    else:
+        numbers["reward_last_update"] = float(runs.read_episodes(folder)["reward"][-20:].mean())
+        console.print(f"mean reward of the last 20 episodes {numbers['reward_last_update']:.4g}")
+    if trained.failures:
+        console.print(f"{trained.failures} blocks of episodes were lost and played again: {folder / 'failures.csv'}")
+    console.print(f"trained in {trained.wall_time_s / 60:.1f} min; policy {trained.policy_sha256[:16]}; see {folder}")
+    if as_json:
+        print(json.dumps(numbers))
+    return 0
+
+
+def _numbers(episodes, failures: int) -> str:
+    whole = [episode for episode in episodes if not episode.terminated] or episodes
+    lost = f" lost {failures}" if failures else ""
+    if "c_d" not in whole[0].readings:
+        return f"reward {sum(e.rewards.sum() for e in whole) / len(whole):.4g}{lost}"
+    means = [sum(e.readings[name][len(e.rewards) // 2 :].mean() for e in whole) / len(whole) for name in ("c_d", "c_l")]
+    return f"C_D {means[0]:.3f} C_L {means[1]:+.3f}{lost}"
+
+
+def _shares(seconds: dict[str, float]) -> str:
+    total = sum(seconds.values())
+    return " ".join(f"{name} {value / total:.0%}" for name, value in seconds.items()) if total else ""
+
+
 @dataclass(frozen=True)
-class Train:
+class TrainCommand:
     """Train a policy, evaluate it, and leave a run folder with checkpoints, tables and pictures."""
 
     task: tyro.conf.OmitArgPrefixes[Task]
     learning: tyro.conf.OmitArgPrefixes[Learning]
+    collection: tyro.conf.OmitArgPrefixes[Collection]
     case: CaseName = "cylinder-jets"
+    env: str | None = None
+    """Another simulation in place of the case: module:factory, or an id registered with Gymnasium."""
     protocol: Literal["default", "paper", "code"] = "default"
     """Which defaults the other settings have: ours, the paper's, or those of the paper's released code."""
     seed: int = 0
     run_folder: Annotated[Path | None, tyro.conf.arg(name="run", metavar="DIR")] = None
     """Run folder; default runs/<case>-s<seed>-<date>."""
-    workers: int = 2
-    """Threads that advance flows."""
     json: Json = False
 
     def run(self) -> int:
-        from manywake.learn import runs
-        from manywake.learn.engine import Threads
+        plan = _layout(self.collection, self.learning.update_period)
+        engine = _engine(self.collection, plan)  # its workers start while the learner is loaded
+        try:
+            from manywake.learn import train
 
-        settings = Settings(case.by_name(self.case), self.task, self.learning, self.seed)
-        settings.task.steps(settings.case.time_step)
-        stamp = time.strftime("%Y%m%d-%H%M%S")
-        folder = self.run_folder or Path("runs") / f"{self.case}-s{self.seed}-{stamp}"
-        cd_uncontrolled = _baseline(settings.case).shedding.cd_mean
-        console.print(f"run folder {folder}; uncontrolled C_D {cd_uncontrolled:.4f}")
-        engine = Threads(self.workers)
-        with _progress("cd", "cl") as progress:
-            bar = progress.add_task("episodes", total=self.learning.episodes, cd="C_D -", cl="C_L -")
+            settings = Settings(case.by_name(self.case), self.task, self.learning, self.collection, self.seed, self.env)
+            stamp = time.strftime("%Y%m%d-%H%M%S")
+            name = self.case if self.env is None else self.env.replace(":", "-").replace("/", "-")
+            folder = self.run_folder or Path("runs") / f"{name}-s{self.seed}-{stamp}"
+            if self.env is None:
+                settings.task.steps(settings.case.time_step)
+                cd_uncontrolled = _baseline(settings.case).shedding.cd_mean
+                console.print(f"run folder {folder}; uncontrolled C_D {cd_uncontrolled:.4f}")
+            else:
+                console.print(f"run folder {folder}")
+            return _watched(
+                lambda show: train.train(folder, settings, engine, plan, show),
+                folder,
+                self.learning.episodes,
+                0,
+                self.json,
+                self.env is None,
+            )
+        finally:
+            engine.close()
 
-            def show(episodes) -> None:
-                whole = [e for e in episodes if not e.terminated] or episodes
-                cd = sum(e.c_d[len(e.c_d) // 2 :].mean() for e in whole) / len(whole)
-                cl = sum(e.c_l[len(e.c_l) // 2 :].mean() for e in whole) / len(whole)
-                progress.update(bar, advance=len(episodes), cd=f"C_D {cd:.3f}", cl=f"C_L {cl:+.3f}")
 
-            try:
-                trained = runs.train(folder, settings, engine, show)
-            finally:
-                engine.close()
-        runs.write_json(folder / "training.json", dataclasses.asdict(trained))
-        numbers = {**_evaluate(folder, "last", self.workers), **dataclasses.asdict(trained)}
-        _report(numbers)
-        for share, when in trained.reached.items():
-            text = "not reached" if when is None else f"{when[0]} episodes, {when[1] / 60:.1f} min"
-            console.print(f"while exploring, {float(share):.1%} drag reduction after: {text}")
-        console.print(
-            f"trained in {trained.wall_time_s / 60:.1f} min; policy {trained.policy_sha256[:16]}; see {folder}"
+@dataclass(frozen=True)
+class Resume:
+    """Go on with a training that was stopped or killed, to the same bits as if it had not been.
+
+    Where it runs may differ from where it began: the options below take the place of the run's own.
+    """
+
+    run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    engine: Literal["processes", "serial", "threads", "ray"] | None = None
+    """Where episodes are played."""
+    address: str | None = None
+    """Address of a running Ray cluster."""
+    workers: int | None = None
+    """Processes, threads or tasks at once."""
+    lanes: int | None = None
+    """Environments that a worker advances side by side."""
+    json: Json = False
+
+    def run(self) -> int:
+        from manywake.learn import runs, train
+
+        run = runs.Run(self.run_folder)
+        settings = run.settings
+        changes = {name: getattr(self, name) for name in ("engine", "address") if getattr(self, name) is not None}
+        how = dataclasses.replace(settings.collection, **changes)
+        moved = self.workers is not None or self.lanes is not None
+        how = dataclasses.replace(
+            how,
+            envs=run.layout.environments,
+            workers=self.workers if moved else run.layout.workers,
+            lanes=self.lanes if moved else run.layout.lanes,
         )
-        if self.json:
-            print(json.dumps(numbers))
-        return 0
+        plan = _layout(how, settings.learning.update_period)
+        engine = _engine(how, plan)
+        try:
+            done = runs.newest(run)[0].version * settings.learning.update_period
+            return _watched(
+                lambda show: train.resume(self.run_folder, engine, plan, show),
+                self.run_folder,
+                settings.learning.episodes,
+                done,
+                self.json,
+                settings.env is None,
+            )
+        finally:
+            engine.close()
+
+
+@dataclass(frozen=True)
+class ReplayCommand:
+    """Play one episode of a run again, alone, with the policy it was begun with, and compare it with its record."""
+
+    run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    episode: Annotated[int, tyro.conf.Positional]
+    json: Json = False
+
+    def run(self) -> int:
+        from manywake.learn import runs, train
+
+        result = train.replay(runs.Run(self.run_folder), self.episode)
+        described = {
+            "episode": self.episode,
+            "version": result.episode.policy_version,
+            **result.numbers,
+            "same_as_recorded": result.same,
+        }
+        _print(described, self.json)
+        return 1 if result.same is False else 0
 
 
 @dataclass(frozen=True)
@@ -281,17 +422,21 @@ def _print(numbers: dict, as_json: bool) -> None:
 
 def main() -> None:
     """Run the command line."""
+    # a batch system's polite request to stop is treated as Ctrl-C
+    signal.signal(signal.SIGTERM, lambda number, frame: signal.raise_signal(signal.SIGINT))
     # the protocol chooses the defaults that the other options then override, so it is looked at first
     words = [part for word in sys.argv[1:] for part in word.split("=", 1)]
     named = dict(zip(words, words[1:], strict=False)).get("--protocol", "default")
     name = named if named in PROTOCOLS else "default"
-    defaults = Train(*PROTOCOLS[name], protocol=name)  # type: ignore[arg-type]
+    defaults = TrainCommand(*PROTOCOLS[name], Collection(), protocol=name)  # type: ignore[arg-type]
     try:
         chosen = tyro.cli(
             Annotated[Validate, tyro.conf.subcommand("validate")]
             | Annotated[BaselineCommand, tyro.conf.subcommand("baseline")]
-            | Annotated[Train, tyro.conf.subcommand("train", default=defaults)]
+            | Annotated[TrainCommand, tyro.conf.subcommand("train", default=defaults)]
+            | Annotated[Resume, tyro.conf.subcommand("resume")]
             | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+            | Annotated[ReplayCommand, tyro.conf.subcommand("replay")]
             | Annotated[Bench, tyro.conf.subcommand("bench")],  # type: ignore[arg-type]
             prog="manywake",
             description="Active flow control by deep reinforcement learning, on many simulations at once.",

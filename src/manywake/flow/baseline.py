@@ -1,8 +1,6 @@
 """What every run starts from: mesh, start state, time-mean flow, uncontrolled statistics. Shipped, cached or made."""
 
 import json
-import os
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -16,8 +14,8 @@ import numpy as np
 from filelock import FileLock
 from platformdirs import user_cache_path
 
+from manywake.flow import disk, operators, sensors, steady
 from manywake.flow import mesh as meshes
-from manywake.flow import operators, sensors, space, steady
 from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.case import CASES, Case
 from manywake.flow.mesh import Mesh
@@ -76,7 +74,7 @@ class Baseline:
     def digest(self) -> str:
         """Return the hash of the content: two baselines with the same digest start every run from the same bits."""
         numbers = json.dumps(self.numbers(), sort_keys=True).encode()
-        return space.digest(self.arrays() | {"numbers": np.frombuffer(numbers, np.uint8)})
+        return disk.digest(self.arrays() | {"numbers": np.frombuffer(numbers, np.uint8)})
 
 
 def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None) -> Baseline:
@@ -164,17 +162,8 @@ def phases(ops: Operators, baseline: Baseline, count: int) -> list[Start]:
 def save(baseline: Baseline, path: Path) -> None:
     """Write a baseline atomically: either the whole file is there or none."""
     description = baseline.numbers() | {"digest": baseline.digest()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            named: dict[str, Any] = {"description": np.array(json.dumps(description)), **baseline.arrays()}
-            np.savez_compressed(file, **named)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    named: dict[str, Any] = {"description": np.array(json.dumps(description)), **baseline.arrays()}
+    disk.write(path, lambda file: np.savez_compressed(file, **named))
 
 
 def load(path: Path, case: Case | None = None) -> Baseline:

@@ -4,14 +4,19 @@ Inside, velocity nodes are renumbered: the free ones first, in the elimination o
 those on Dirichlet boundaries; pressure nodes likewise. So the factors need no permutation while stepping.
 """
 
+import zipfile
+import zlib
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 import scipy.sparse as sp
 import skfem
 from scipy.sparse.linalg import splu
 
+from manywake.flow import disk
 from manywake.flow import space as spaces
 from manywake.flow.case import Case
 from manywake.flow.mesh import Mesh
@@ -68,7 +73,7 @@ class Operators:
     """
 
     case: Case
-    space: Space
+    mesh: Mesh
     tables: Tables
     velocity_order: np.ndarray
     pressure_order: np.ndarray
@@ -77,18 +82,67 @@ class Operators:
     probe_pressure: Rows
     probe_velocity: Rows
 
+    @cached_property
+    def space(self) -> Space:
+        """The finite-element spaces. Stepping needs none of it, so it is built when asked for and travels nowhere."""
+        return spaces.build(self.mesh)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "space"}
+
     @property
     def digest(self) -> str:
         """Hash of every number a step uses."""
-        arrays = {}
-        for name, part in self.tables._asdict().items():
-            for k, array in enumerate(_flatten(part)):
-                arrays[f"{name}{k}"] = array
-        return spaces.digest(arrays)
+        return disk.digest(_flatten("tables", self.tables))
 
 
-def _flatten(part) -> list[np.ndarray]:
-    return [part] if isinstance(part, np.ndarray) else [array for child in part for array in _flatten(child)]
+def _flatten(name: str, part) -> dict[str, np.ndarray]:
+    """Return the arrays of nested named tuples by dotted names."""
+    if isinstance(part, np.ndarray):
+        return {name: part}
+    return {
+        key: array for child in part._fields for key, array in _flatten(f"{name}.{child}", getattr(part, child)).items()
+    }
+
+
+def _gather(name: str, kind, arrays) -> Any:
+    """Return the nested named tuples of type `kind` from their arrays, as `_flatten` names them."""
+    if kind is np.ndarray:
+        return arrays[name]
+    return kind(*(_gather(f"{name}.{child}", of, arrays) for child, of in get_type_hints(kind).items()))
+
+
+_PLAIN = ("velocity_order", "pressure_order", "jet_flux_error")
+_READINGS = ("probe_pressure", "probe_velocity")
+
+
+def save(ops: Operators, path: Path) -> None:
+    """Write operators, so that a run can go on with these very bits on any machine."""
+    arrays = _flatten("tables", ops.tables) | {name: getattr(ops, name) for name in _PLAIN}
+    for name in _READINGS:
+        arrays |= _flatten(name, getattr(ops, name))
+    named: dict[str, Any] = {"free": np.array(ops.free), "digest": np.array(ops.digest), **arrays}
+    disk.write(path, lambda file: np.savez(file, **named))
+
+
+def load(path: Path, case: Case, mesh: Mesh) -> Operators:
+    """Read operators of a case on a mesh; ValueError when the file is damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            ops = Operators(
+                case,
+                mesh,
+                _gather("tables", Tables, data),
+                free=int(data["free"]),
+                **{name: data[name] for name in _PLAIN},
+                **{name: _gather(name, Rows, data) for name in _READINGS},
+            )
+            whole = ops.digest == str(data["digest"])
+    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, ValueError) as error:
+        raise ValueError(f"operators: {path} is damaged ({error})") from error
+    if not whole:
+        raise ValueError(f"operators: the content of {path} does not match its hash")
+    return ops
 
 
 def assemble(case: Case, mesh: Mesh) -> Operators:
@@ -216,7 +270,7 @@ def from_boundary_data(
     points = np.array(case.probes).reshape(-1, 2)
     return Operators(
         case,
-        space,
+        space.mesh,
         tables,
         velocity_order,
         pressure_order,

@@ -1,6 +1,5 @@
 """Taylor-Hood elements: P2 velocity and P1 pressure on straight triangles, by scikit-fem."""
 
-import hashlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,13 +97,3 @@ def _clean(matrix: sp.spmatrix) -> sp.csr_matrix:
 def probe_matrix(basis: skfem.CellBasis, points: np.ndarray) -> sp.csr_matrix:
     """Return the matrix (points, nodes) that interpolates a nodal vector at points (k, 2)."""
     return _clean(basis.probes(points.T))
-
-
-def digest(arrays: dict[str, np.ndarray]) -> str:
-    """Return a hash of named arrays: names, types, shapes and content."""
-    sha = hashlib.sha256()
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
-        sha.update(f"{name}{array.dtype.str}{array.shape}".encode())
-        sha.update(array.tobytes())
-    return sha.hexdigest()

@@ -1,31 +1,270 @@
-"""Collection of episodes for one update: blocks of columns out to the engine, episodes back in index order."""
+"""Collection: blocks of episodes out to the engine, episodes back to the learner, none lost and none changed."""
 
-from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, wait
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future
+from dataclasses import dataclass, field, replace
+from typing import Any
 
-from manywake.env.task import Task
+import numpy as np
+
 from manywake.flow import simd
-from manywake.flow.case import Case
-from manywake.learn.engine import Engine
+from manywake.learn.engine import Engine, TimedOut, WorkerDied
 from manywake.learn.policy import Policy
-from manywake.learn.rollout import Episode, rollout
+from manywake.learn.rollout import Episode, Exploration, Simulation, explore
+from manywake.learn.schedule import Plan
+
+MOST_FAILURES = 3
+"""Failures of one episode, played alone, after which training stops."""
+PATIENCE = 10.0
+"""A block is given this many times as long as is expected..."""
+ALLOWANCE = 120.0
+"""...and this many seconds more, which cover compiling on a machine that never did."""
 
 
+@dataclass(frozen=True)
+class Layout:
+    """`environments` spread over `workers` processes that advance blocks of `lanes` environments each."""
+
+    environments: int
+    workers: int
+    lanes: int
+
+    def __str__(self) -> str:
+        return f"{self.environments} environments: {self.workers} workers, blocks of up to {self.lanes} lanes"
+
+
+def layout(
+    environments: int | None, workers: int | None, lanes: int | None, period: int, cores: int | None = None
+) -> Layout:
+    """Return a layout from what is given of it; ValueError when that does not fit together.
+
+    With nothing given: an environment for each of the `period` episodes of an update.
+
+    With only the number of environments: full vectors of eight as soon as every core has one, else the environments
+    spread over the cores; and one worker more than cores where there are blocks for it, so that blocks of unequal
+    width, 8, 8 and 4 of twenty say, share the cores evenly.
+    """
+    cores = cores or len(os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1))
+    for name, value in (("envs", environments), ("workers", workers), ("lanes", lanes)):
+        if value is not None and value < 1:
+            raise ValueError(f"{name}: got {value}, wanted at least 1")
+    if environments is None:
+        environments = min((workers or cores) * lanes if lanes is not None else period, period)
+    if lanes is None:
+        full = simd.WIDTHS[0]
+        lanes = -(-environments // workers) if workers else full if environments >= full * cores else 0
+        lanes = lanes or -(-environments // cores)
+    blocks = -(-environments // lanes)
+    if workers is None:
+        workers = min(blocks, cores + 1)
+    if workers > blocks:
+        raise ValueError(
+            f"workers: got {workers} of {lanes} lanes for {environments} environments, wanted at most {blocks}; "
+            "the others would have nothing to do"
+        )
+    return Layout(environments, workers, lanes)
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A block that was lost, and is played again. kind: raised, died or timed out. attempt: of an episode alone."""
+
+    episodes: tuple[int, ...]
+    version: int
+    kind: str
+    cause: str
+    attempt: int
+
+
+class EpisodeFailed(RuntimeError):
+    """The same episode failed too often; `index` names it."""
+
+    def __init__(self, index: int, run_seed: int, cause: str):
+        super().__init__(
+            f"episode {index} of run seed {run_seed} failed {MOST_FAILURES} times, the last time so: {cause}"
+        )
+        self.index = index
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Episodes that start and end together under one policy, as `policy` is shared with the workers.
+
+    group: the episodes the block was cut from, should it have been lost and split.
+    """
+
+    indices: tuple[int, ...]
+    version: int
+    policy: Any
+    group: tuple[int, ...]
+    begun: float = 0.0
+
+
+def play(simulation: Simulation, policy: Policy, explorations: list[Exploration]) -> list[Episode]:
+    """Play a block in a worker."""
+    return simulation.play(policy, explorations)
+
+
+@dataclass
 class Collector:
-    """Plays the episodes of a training run, synced: all of one update under one policy, all waited for."""
+    """Plays the episodes of a training run on an engine.
 
-    def __init__(self, engine: Engine, case: Case, task: Task, run_seed: int, lanes: int = simd.WIDTHS[0]):
-        self.engine = engine
-        self.case, self.task, self.run_seed, self.lanes = case, task, run_seed, lanes
+    plan: which episode is played by which version and used when (`schedule`); None is the unsynced schedule on the
+    real clock, where it shows. period: T_L, episodes of an update. total: of the whole run. time_limit: seconds a block
+    may take; None works it out from block_seconds, what a full block takes, or else from the first that comes.
+    seen, failed: called with each block that has come or was lost.
+    """
 
-    def collect(self, policy: Policy, indices: range, arrived: Callable[[list[Episode]], None]) -> list[Episode]:
-        """Return the episodes of `indices` in that order; `arrived` is called with each block as it comes."""
-        blocks = [list(indices[k : k + self.lanes]) for k in range(0, len(indices), self.lanes)]
-        waiting = {self.engine.submit(rollout, self.case, self.task, policy, self.run_seed, block) for block in blocks}
-        episodes: list[Episode] = []
-        while waiting:
-            finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in finished:
-                arrived(future.result())
-                episodes += future.result()
-        return sorted(episodes, key=lambda episode: episode.index)
+    engine: Engine
+    simulation: Simulation
+    run_seed: int
+    layout: Layout
+    period: int
+    total: int
+    plan: Plan | None
+    time_limit: float | None = None
+    block_seconds: float | None = None
+    seen: Callable[[list[Episode]], None] = lambda episodes: None
+    failed: Callable[[Failure], None] = lambda failure: None
+    _queue: deque[_Block] = field(default_factory=deque)
+    _flying: dict[Future, _Block] = field(default_factory=dict)
+    _arrived: dict[int, tuple[Episode, float]] = field(default_factory=dict)
+    _attempts: dict[int, int] = field(default_factory=dict)
+    _next: int = 0
+    _newest: tuple[int, Any] | None = None
+    _outstanding: dict[tuple[int, ...], int] = field(default_factory=dict)
+    _error: BaseException | None = None
+
+    def __post_init__(self) -> None:
+        self._shared = self.engine.share(self.simulation)
+        self._actions = self.simulation.spaces()[1].shape[0]
+        self._change = threading.Condition(threading.RLock())
+
+    def collect(self, policy: Policy) -> list[Episode]:
+        """Return the episodes of the update to be made of `policy`, by index, and start what it is to play.
+
+        Raises EpisodeFailed when an episode cannot be played.
+        """
+        with self._change:
+            self._newest = policy.version, self.engine.share(policy)
+            if self.plan is not None:
+                self._start(np.flatnonzero(self.plan.version == policy.version).tolist(), *self._newest)
+            elif self._next == 0:
+                self._start(self._indices(self.layout.environments), *self._newest)
+            self._fill()
+            while (wanted := self._wanted(policy.version)) is None:
+                if self._error is not None:
+                    raise self._error
+                self._change.wait()
+            now = time.perf_counter()
+            episodes = [self._arrived.pop(index) for index in sorted(wanted)]
+        return [replace(episode, waiting_seconds=now - came) for episode, came in episodes]
+
+    def resume(self, version: int, pending: Iterable[tuple[int, int]], policy_of: Callable[[int], Policy]) -> None:
+        """Go on from a checkpoint made before the update of `version`: start what was on its way then.
+
+        pending: pairs of episode and version it was begun with, of those begun and not used. policy_of: by version.
+        """
+        by_version: dict[int, list[int]] = {}
+        for index, played_by in pending:
+            by_version.setdefault(played_by, []).append(index)
+        with self._change:
+            for played_by, indices in sorted(by_version.items()):
+                self._start(sorted(indices), played_by, self.engine.share(policy_of(played_by)))
+            begun = [index for indices in by_version.values() for index in indices]
+            self._next = max([version * self.period - 1, *begun]) + 1
+
+    def pending(self) -> list[tuple[int, int]]:
+        """Return (episode, version) of all that were begun and are not used yet."""
+        with self._change:
+            blocks = [*self._queue, *self._flying.values()]
+            begun = [(index, block.version) for block in blocks for index in block.indices]
+            begun += [(index, episode.policy_version) for index, (episode, _) in self._arrived.items()]
+        return sorted(begun)
+
+    def _indices(self, count: int) -> list[int]:
+        indices = list(range(self._next, min(self._next + count, self.total)))
+        self._next += len(indices)
+        return indices
+
+    def _start(self, indices: list[int], version: int, policy: Any) -> None:
+        """Queue episodes in rounds of the environments, each cut into blocks of lanes."""
+        environments, lanes = self.layout.environments, self.layout.lanes
+        for first in range(0, len(indices), environments):
+            in_round = indices[first : first + environments]
+            for k in range(0, len(in_round), lanes):
+                block = tuple(in_round[k : k + lanes])
+                self._queue.append(_Block(block, version, policy, block))
+                self._outstanding[block] = len(block)
+
+    def _wanted(self, version: int) -> list[int] | None:
+        """Return the episodes of an update if all have come, else None."""
+        if self.plan is not None:
+            wanted = np.flatnonzero(self.plan.update == version).tolist()
+            return wanted if all(index in self._arrived for index in wanted) else None
+        first = list(self._arrived)[: self.period]  # a dictionary keeps the order of arrival
+        return first if len(first) == self.period else None
+
+    def _fill(self) -> None:
+        while self._queue and self._error is None and len(self._flying) < min(self.engine.slots, self.layout.workers):
+            block = replace(self._queue.popleft(), begun=time.perf_counter())
+            horizon = self.simulation.horizon
+            explorations = [explore(self.run_seed, index, horizon, self._actions) for index in block.indices]
+            limit = self._limit()
+            future = self.engine.submit(play, self._shared, block.policy, explorations, timeout=limit)
+            self._flying[future] = block
+            future.add_done_callback(self._done)
+
+    def _limit(self) -> float | None:
+        if self.time_limit is not None or self.block_seconds is None:
+            return self.time_limit
+        return ALLOWANCE + PATIENCE * self.block_seconds
+
+    def _done(self, future: Future) -> None:
+        """Take what an engine's thread brings; every way out of here leaves the collector able to go on or to stop."""
+        with self._change:
+            block = self._flying.pop(future)
+            try:
+                error = future.exception()
+                if error is None:
+                    self._came(block, future.result())
+                elif self._error is None:
+                    self._lost(block, error)
+                self._fill()
+            except BaseException as problem:
+                self._error = self._error or problem
+            self._change.notify_all()
+
+    def _came(self, block: _Block, episodes: list[Episode]) -> None:
+        now = time.perf_counter()
+        busy = sum(episode.flow_seconds + episode.policy_seconds for episode in episodes)
+        transport = max(now - block.begun - busy, 0.0) / len(episodes)
+        if self.block_seconds is None:
+            self.block_seconds = (now - block.begun) * self.layout.lanes / len(episodes)
+        episodes = [replace(episode, transport_seconds=transport) for episode in episodes]
+        for episode in episodes:
+            self._arrived[episode.index] = episode, now
+        self._outstanding[block.group] -= len(block.indices)
+        if not self._outstanding[block.group]:
+            del self._outstanding[block.group]
+            if self.plan is None and self._newest is not None:
+                free = self.layout.environments - sum(self._outstanding.values())
+                self._start(self._indices(min(len(block.group), free)), *self._newest)
+        self.seen(episodes)
+
+    def _lost(self, block: _Block, error: BaseException) -> None:
+        """Queue a block that was lost again, split, so that the bad episode is named."""
+        kind = "died" if isinstance(error, WorkerDied) else "timed out" if isinstance(error, TimedOut) else "raised"
+        cause = f"{type(error).__name__}: {error}" if kind == "raised" else str(error)
+        attempt = 0
+        if len(block.indices) == 1:
+            index = block.indices[0]
+            attempt = self._attempts[index] = self._attempts.get(index, 0) + 1
+        self.failed(Failure(block.indices, block.version, kind, cause, attempt))
+        if attempt >= MOST_FAILURES:
+            raise EpisodeFailed(block.indices[0], self.run_seed, cause)
+        self._queue.extendleft(replace(block, indices=(index,)) for index in reversed(block.indices))

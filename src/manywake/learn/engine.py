@@ -1,36 +1,225 @@
-"""Where episodes are computed: anything with `submit(fn, *args, timeout) -> Future`, `slots` and `close()`."""
+"""Where episodes are computed: anything with `submit(fn, *args, timeout) -> Future`, `share`, `slots` and `close()`.
 
+A future ends in the result of fn, in the exception fn raised, in `WorkerDied` or in `TimedOut`: who waits can tell them
+apart. Nothing is tried again here; that is the collector's, who knows that an episode made twice has the same bits.
+"""
+
+import multiprocessing
+import os
+import pickle
+import shutil
+import tempfile
+import threading
+import weakref
 from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import lru_cache
+from multiprocessing import connection, forkserver
+from pathlib import Path
 from typing import Any, Protocol
+
+from pebble import ProcessExpired, ProcessPool
+
+
+class WorkerDied(RuntimeError):
+    """The process that computed is gone: killed, crashed, out of memory, or its machine lost."""
+
+
+class TimedOut(RuntimeError):
+    """The computation took longer than it was given; its process was ended."""
 
 
 class Engine(Protocol):
     """Computes functions of plain arguments, `slots` at a time."""
 
-    slots: int
+    @property
+    def slots(self) -> int:
+        """How many computations run at once, now."""
+
+    def share(self, value: Any) -> Any:
+        """Return what stands for `value` as an argument of `submit`: large values travel once, not with every call.
+
+        What it stands for lives as long as what is returned.
+        """
 
     def submit(self, fn, *args: Any, timeout: float | None = None) -> Future:
-        """Start fn(*args); the future ends in its result or its exception."""
+        """Start fn(*args), given at most `timeout` seconds."""
 
     def close(self) -> None:
-        """Stop; what has not started is dropped."""
+        """Stop all; no process is left."""
 
 
 class Threads:
     """Threads of this process: the kernels release the interpreter lock, so `slots` blocks advance at once.
 
-    There is one thread more than slots (but for one), so that blocks of unequal width, 8, 8 and 4 columns of twenty
-    say, share the cores evenly instead of one waiting for another to end.
+    `Threads(1)` is the serial engine. No process to start and none to lose: a thread cannot be stopped, so `timeout`
+    is not kept.
     """
 
     def __init__(self, slots: int):
         self.slots = slots
-        self._pool = ThreadPoolExecutor(slots + 1 if slots > 1 else 1)
+        self._pool = ThreadPoolExecutor(slots)
+
+    def share(self, value: Any) -> Any:
+        return value
 
     def submit(self, fn, *args: Any, timeout: float | None = None) -> Future:
-        """Start fn(*args) when a thread is free. A thread cannot be stopped, so `timeout` is not kept here."""
         return self._pool.submit(fn, *args)
 
     def close(self) -> None:
-        """Drop what has not started and wait for what has."""
         self._pool.shutdown(cancel_futures=True)
+
+
+class Processes:
+    """Processes of this machine. One that dies or takes too long is replaced, and harms no other.
+
+    Each slot is a pebble pool of one worker, for pebble's workers share a pipe and its lock: one killed while it sends
+    a result would take the others with it. Workers end with the process that made them, however that one ends.
+    """
+
+    def __init__(self, slots: int):
+        self.slots = slots
+        self._folder = tempfile.mkdtemp(prefix="manywake-")
+        self._context = _context()
+        self._lock = threading.Lock()
+        self._closed = False
+        self._free = [self._pool() for _ in range(slots)]
+        self._pools = set(self._free)
+        for pool in self._free:
+            pool.schedule(_nothing)  # a pool starts its worker with its first task: let all of them start together
+
+    def _pool(self) -> ProcessPool:
+        return ProcessPool(1, initializer=_end_with_parent, initargs=[self._folder], context=self._context)
+
+    def share(self, value: Any) -> Any:
+        handle, name = tempfile.mkstemp(dir=self._folder)
+        with os.fdopen(handle, "wb") as file:
+            pickle.dump(value, file, pickle.HIGHEST_PROTOCOL)  # read by our own workers only, as from a pipe
+        shared = Shared(name)
+        weakref.finalize(shared, Path(name).unlink, missing_ok=True)
+        return shared
+
+    def submit(self, fn, *args: Any, timeout: float | None = None) -> Future:
+        with self._lock:
+            if self._closed:
+                raise RuntimeError("engine: closed")
+            if not self._free:
+                self._free.append(self._pool())
+                self._pools.update(self._free)
+            pool = self._free.pop()
+        outer: Future = Future()
+        outer.set_running_or_notify_cancel()
+        inner = pool.schedule(call, args=[fn, *args], timeout=timeout)
+        inner.add_done_callback(lambda done: self._done(pool, done, outer))
+        return outer
+
+    def _done(self, pool: ProcessPool, inner: Future, outer: Future) -> None:
+        error = WorkerDied("the engine was closed") if inner.cancelled() else _told_apart(inner.exception())
+        with self._lock:
+            keep = not self._closed and len(self._free) < self.slots and not isinstance(error, WorkerDied | TimedOut)
+            if keep:
+                self._free.append(pool)
+            elif not self._closed:
+                self._pools.discard(pool)
+        if not keep and not self._closed:
+            threading.Thread(target=_stop, args=[pool], daemon=True).start()
+        if error is None:
+            outer.set_result(inner.result())
+        else:
+            outer.set_exception(error)
+
+    def close(self) -> None:
+        with self._lock:
+            self._closed = True
+        stopping = [threading.Thread(target=_stop, args=[pool], daemon=True) for pool in self._pools]
+        for thread in stopping:
+            thread.start()
+        for thread in stopping:
+            thread.join()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+class Shared:
+    """Stands for a value that lies in a file of the engine's own folder."""
+
+    def __init__(self, path: str):
+        self.path = path
+
+
+@lru_cache(maxsize=4)
+def _read(path: str) -> Any:
+    return pickle.loads(Path(path).read_bytes())
+
+
+def call(fn, *args: Any) -> Any:
+    """Compute fn(*args) in a worker, with what was shared in its place.
+
+    An exception that would not survive the way back (its class is unknown there, say) is replaced by its text.
+    """
+    try:
+        return fn(*(_read(value.path) if isinstance(value, Shared) else value for value in args))
+    except Exception as error:
+        try:
+            pickle.loads(pickle.dumps(error))
+        except Exception:
+            raise RuntimeError(f"{type(error).__name__}: {error}") from None
+        raise
+
+
+def _nothing() -> None:
+    """Do nothing."""
+
+
+def _told_apart(error: BaseException | None) -> BaseException | None:
+    """Return the error of a pebble future as one of ours where it is about the worker."""
+    if isinstance(error, ProcessExpired):
+        how = f"signal {-error.exitcode}" if error.exitcode < 0 else f"exit code {error.exitcode}"
+        hint = "; the system does that when memory runs out" if error.exitcode == -9 else ""
+        return WorkerDied(f"worker {error.pid} ended with {how}{hint}")
+    if isinstance(error, BrokenProcessPool):
+        return WorkerDied(f"worker ended before its task began ({error})")
+    if isinstance(error, TimeoutError) and error.args[:1] == ("Task timeout",):
+        return TimedOut(f"no result within {error.args[1]:.0f} s")
+    return error
+
+
+def _stop(pool: ProcessPool) -> None:
+    pool.stop()
+    pool.join()
+
+
+def _context():
+    """Return the way to start workers: forked from a server that has imported what they need, where there is one.
+
+    The server starts before any thread of ours can matter to it, and with one BLAS thread, so that forking is safe.
+    """
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["__main__", "manywake.learn.rollout"])
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        forkserver.ensure_running()
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+    return context
+
+
+def _end_with_parent(folder: str) -> None:
+    """End this worker as soon as the process that started it is gone, even by kill -9."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    gone = parent.sentinel
+
+    def watch() -> None:
+        connection.wait([gone])
+        shutil.rmtree(folder, ignore_errors=True)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -9,10 +9,10 @@ from manywake.env.task import ControlledFlow, Task
 from manywake.flow import baseline
 from manywake.flow.baseline import Baseline
 from manywake.flow.batch import Start
-from manywake.flow.case import Case
 from manywake.learn import policy as policies
 from manywake.learn.engine import Engine
 from manywake.learn.policy import Policy
+from manywake.learn.rollout import JetFlows
 
 LONG_RUN = 4
 """Episode lengths of the long run, without reset."""
@@ -77,10 +77,9 @@ def _plain(control: Control) -> dict[str, Any]:
     return {key: value if np.isfinite(value) else None for key, value in asdict(control).items()}
 
 
-def play(case: Case, task: Task, policy: Policy, starts: list[Start], actions: int) -> Trajectory:
+def play(simulation: JetFlows, policy: Policy, starts: list[Start], actions: int) -> Trajectory:
     """Run the deterministic policy from each start for a number of actions, without reset."""
-    ops, base = baseline.assembled(case)
-    flows = ControlledFlow(ops, base, task, len(starts))
+    flows = ControlledFlow(simulation.operators, simulation.baseline, simulation.task, len(starts))
     for column, start in enumerate(starts):
         flows.reset([column], start)
     coefficients, jets = [], []
@@ -109,13 +108,14 @@ def control(base: Baseline, task: Task, c_d: np.ndarray, c_l: np.ndarray, jets: 
     )
 
 
-def evaluate(case: Case, task: Task, policy: Policy, engine: Engine) -> Evaluation:
+def evaluate(simulation: JetFlows, policy: Policy, engine: Engine) -> Evaluation:
     """Evaluate a policy: `PHASES` long runs side by side, spread over the engine's slots."""
-    ops, base = baseline.assembled(case)
+    ops, base, task = simulation.operators, simulation.baseline, simulation.task
+    shared = engine.share(simulation)
     starts = baseline.phases(ops, base, PHASES)
     actions = LONG_RUN * task.actions_per_episode
     share = -(-PHASES // engine.slots)
-    futures = [engine.submit(play, case, task, policy, starts[k : k + share], actions) for k in range(0, PHASES, share)]
+    futures = [engine.submit(play, shared, policy, starts[k : k + share], actions) for k in range(0, PHASES, share)]
     parts = [future.result() for future in futures]
     trajectory = Trajectory(
         np.concatenate([part.c_d for part in parts], axis=1),
@@ -134,6 +134,6 @@ def evaluate(case: Case, task: Task, policy: Policy, engine: Engine) -> Evaluati
             trajectory.jets[rows, column],
         )
 
-    steps, total = task.actions_per_episode * task.steps(case.time_step), len(trajectory.c_d)
+    steps, total = task.actions_per_episode * task.steps(ops.case.time_step), len(trajectory.c_d)
     phases = [window(total // 2, total, column) for column in range(PHASES)]
     return Evaluation(window(steps // 2, steps, 0), phases[0], phases, trajectory)

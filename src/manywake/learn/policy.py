@@ -1,14 +1,17 @@
 """A policy as plain arrays, and its forward pass: the same bits for every batch, and no torch where it plays."""
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from manywake.flow import simd
+from manywake.flow import disk, simd
 from manywake.flow.batch import widths
 from manywake.flow.kernels import kernel
 from manywake.flow.simd import fma, load, maximum, splat, store
 
+HALF_LOG_TWO_PI = 0.9189385332046727  # a number and not a call, for the logarithms of two machines may differ
 NORMALISED_LIMIT = 10.0
 """Normalised observations are clipped to +- this many standard deviations."""
 
@@ -39,6 +42,33 @@ def _dense(weight, bias, x, floor, out):
         store(out, i, 0, maximum(floor, s))
 
 
+def write(policy: Policy, path: Path) -> None:
+    """Write a policy, whole or not at all; its weights are single precision, as the learner has them."""
+    layers: dict[str, Any] = {}
+    for number, (weight, bias) in enumerate(policy.layers):
+        layers |= {f"weight{number}": weight.astype(np.float32), f"bias{number}": bias.astype(np.float32)}
+    disk.write(
+        path,
+        lambda file: np.savez(
+            file,
+            version=np.array(policy.version),
+            mean=policy.mean,
+            deviation=policy.deviation,
+            log_std=policy.log_std,
+            std=policy.std,
+            **layers,
+        ),
+    )
+
+
+def read(path: Path) -> Policy:
+    """Read what `write` wrote."""
+    with np.load(path, allow_pickle=False) as data:
+        count = sum(name.startswith("weight") for name in data.files)
+        layers = tuple((data[f"weight{k}"].astype(float), data[f"bias{k}"].astype(float)) for k in range(count))
+        return Policy(int(data["version"]), data["mean"], data["deviation"], layers, data["log_std"], data["std"])
+
+
 def act(policy: Policy, observations: np.ndarray) -> np.ndarray:
     """Return the mean actions (B, actions) for observations (B, values)."""
     scaled = (observations.astype(np.float64) - policy.mean) / policy.deviation
@@ -61,7 +91,7 @@ def sample(policy: Policy, mean: np.ndarray, noise: np.ndarray) -> tuple[np.ndar
     """Return actions (B, actions) = mean + std noise, rounded to float32 as they are stored, and log-probs (B,)."""
     action = (mean + policy.std * noise).astype(np.float32)
     z = (action.astype(np.float64) - mean) / policy.std
-    terms = -0.5 * z * z - policy.log_std - 0.5 * np.log(2 * np.pi)
+    terms = -0.5 * z * z - policy.log_std - HALF_LOG_TWO_PI
     total = np.zeros(len(mean))
     for k in range(terms.shape[1]):
         total = total + terms[:, k]

@@ -13,7 +13,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import obs_as_tensor
 from stable_baselines3.common.vec_env import VecEnv
 
-from manywake.flow import space
+from manywake.flow import disk
 from manywake.learn.collect import Collector
 from manywake.learn.policy import NORMALISED_LIMIT, Policy
 from manywake.learn.rollout import Episode
@@ -101,33 +101,42 @@ class SpacesOnly(VecEnv):
 
 @dataclass
 class Hooks:
-    """What a run wants to know: blocks as they arrive, and a whole batch just before the update made of it."""
+    """What a run wants to know: a batch just before the update made of it, and when that has been made."""
 
-    arrived: Callable[[list[Episode]], None] = lambda episodes: None
     collected: Callable[["EpisodicPPO", list[Episode]], None] = lambda model, episodes: None
+    updated: Callable[["EpisodicPPO", list[Episode]], None] = lambda model, episodes: None
 
 
 class EpisodicPPO(PPO):
-    """PPO whose rollouts are whole episodes from a collector. `num_timesteps` counts full horizons."""
+    """PPO whose rollouts are whole episodes from a collector. `num_timesteps` counts full horizons.
+
+    version: updates made. clipped_before: share of the samples whose probability ratio lies outside the clip range
+    before the update begins: nought when all were drawn by the policy that is updated.
+    """
 
     collector: Collector
     hooks: Hooks
-    horizon: int
     learning: Learning
     version: int = 0
+    clipped_before: float = 0.0
+    _batch: list[Episode]
 
     def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "collector", "hooks"]
+        return [*super()._excluded_save_params(), "collector", "hooks", "_batch"]
 
     def collect_rollouts(self, env, callback, rollout_buffer, n_rollout_steps) -> bool:
         """Collect one update's episodes, join them in index order in one column, and bootstrap at the horizon."""
         callback.on_rollout_start()
         self.policy.set_training_mode(False)
-        period = self.learning.update_period
-        first = self.version * period
-        episodes = self.collector.collect(snapshot(self), range(first, first + period), self.hooks.arrived)
+        self._batch = episodes = self.collector.collect(snapshot(self))
         self.hooks.collected(self, episodes)
         observations = np.concatenate([episode.observations for episode in episodes])
+        actions = np.concatenate([episode.actions for episode in episodes])
+        log_probs = torch.from_numpy(np.concatenate([episode.log_probs for episode in episodes]).astype(np.float32))
+        with torch.no_grad():
+            distribution = self.policy.get_distribution(obs_as_tensor(observations, self.device))
+            ratio = torch.exp(distribution.log_prob(torch.from_numpy(actions)) - log_probs)
+            self.clipped_before = float((abs(ratio - 1) > self.learning.clip_range).float().mean())
         normaliser(self).update(observations)
 
         total = len(observations)
@@ -150,31 +159,36 @@ class EpisodicPPO(PPO):
                     rewards[t : t + 1],
                     np.array([t == 0]),
                     values[k],
-                    torch.tensor([episode.log_probs[t]], dtype=torch.float32),
+                    log_probs[k : k + 1],
                 )
                 k += 1
         buffer.compute_returns_and_advantage(last_values=torch.zeros(1), dones=np.ones(1))
         self.rollout_buffer = buffer
-        self.num_timesteps += period * self.horizon
+        self.num_timesteps += len(episodes) * self.collector.simulation.horizon
         assert self.ep_info_buffer is not None
         for episode in episodes:
             self.ep_info_buffer.append({"r": float(episode.rewards.sum()), "l": len(episode.rewards)})
-        for name in ("c_d", "c_l"):
-            series = [getattr(e, name)[len(e.c_d) // 2 :].mean() for e in episodes if not e.terminated]
-            self.logger.record(f"flow/{name}", np.mean(series) if series else np.nan)
-        self.logger.record("flow/jet_rms", np.sqrt(np.mean([(e.jets**2).mean() for e in episodes])))
-        self.logger.record("flow/diverged", sum(e.terminated for e in episodes))
-        seed_update(self.collector.run_seed, self.version)
-        self.version += 1
+        whole = [self.collector.simulation.summary(e) for e in episodes if not e.terminated]
+        for name in whole[0] if whole else ():
+            self.logger.record(f"episode/{name}", np.mean([numbers[name] for numbers in whole]))
+        self.logger.record("episode/terminated", len(episodes) - len(whole))
+        self.logger.record("train/clipped_before", self.clipped_before)
         callback.update_locals(locals())
         callback.on_rollout_end()
         return True
+
+    def train(self) -> None:
+        """Update as PPO does, from a generator state that depends on (run seed, version) only."""
+        seed_update(self.collector.run_seed, self.version)
+        super().train()
+        self.version += 1
+        self.hooks.updated(self, self._batch)
 
 
 def digest(model: PPO) -> str:
     """Return the hash of the policy: weights of actor and critic, and the normaliser."""
     state = {name: tensor.cpu().numpy() for name, tensor in model.policy.state_dict().items()}
-    return space.digest(state)
+    return disk.digest(state)
 
 
 def seed_update(run_seed: int, version: int) -> None:
@@ -184,13 +198,13 @@ def seed_update(run_seed: int, version: int) -> None:
     torch.manual_seed(int(words[1]))
 
 
-def build(observation_space: Space, action_space: Space, learning: Learning, collector: Collector) -> EpisodicPPO:
+def build(learning: Learning, collector: Collector) -> EpisodicPPO:
     """Make the learner; its first weights depend on the run seed only."""
     torch.set_num_threads(learning.learner_threads)
-    samples = learning.update_period * collector.task.actions_per_episode
+    samples = learning.update_period * collector.simulation.horizon
     model = EpisodicPPO(
         "MlpPolicy",
-        SpacesOnly(observation_space, action_space),
+        SpacesOnly(*collector.simulation.spaces()),
         learning_rate=RateSchedule(learning),
         n_steps=samples,
         batch_size=min(learning.batch_size, samples),
@@ -211,7 +225,6 @@ def build(observation_space: Space, action_space: Space, learning: Learning, col
         device="cpu",
     )
     model.collector, model.learning, model.hooks = collector, learning, Hooks()
-    model.horizon = collector.task.actions_per_episode
     return model
 
 

@@ -1,42 +1,38 @@
-"""The run folder: settings, episodes.csv, TensorBoard events, checkpoints, baseline, evaluation."""
+"""The run folder: settings, tables, policy versions, checkpoints."""
 
 import csv
+import dataclasses
+import io
 import json
-import os
-import platform
-import time
 import zipfile
-from collections.abc import Callable
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from filelock import FileLock, Timeout
-from stable_baselines3.common.logger import configure
 
-from manywake.env.env import spaces
 from manywake.env.task import Task
-from manywake.flow import baseline
+from manywake.flow import baseline, disk, operators
 from manywake.flow.case import Case, Jet, Resolution, Scheme
-from manywake.learn import ppo
-from manywake.learn.collect import Collector
-from manywake.learn.engine import Engine
+from manywake.learn import external, ppo
+from manywake.learn import policy as policies
+from manywake.learn.collect import Layout
+from manywake.learn.policy import Policy
 from manywake.learn.ppo import EpisodicPPO
-from manywake.learn.rollout import Episode
-from manywake.learn.settings import Learning, Settings
+from manywake.learn.rollout import JetFlows, Simulation
+from manywake.learn.settings import Collection, Learning, Settings
 
-COLUMNS = (
-    "episode", "version", "length", "reward", "c_d", "c_d_second_half", "c_l", "c_l_second_half", "jet_rms",
-    "terminated", "flow_s", "policy_s", "wall_s",
-)  # fmt: skip
-"""Columns of episodes.csv. c_d, c_l: means over the episode and its second half; jet_rms in units of the limit."""
+MILESTONES = ("0.05", "0.07", "0.075")
+"""Drag reductions whose first episode is written down."""
 
 
 class Run:
-    """A run folder. Writing one takes its lock, so that two trainings cannot share it."""
+    """A run folder."""
 
     def __init__(self, folder: Path):
         self.folder = folder
@@ -55,28 +51,45 @@ class Run:
             _case(data["case"]),
             Task(**data["task"]),
             Learning(**{**data["learning"], "hidden": tuple(data["learning"]["hidden"])}),
+            Collection(**data["collection"]),
             data["seed"],
+            data["env"],
         )
 
-    def policy(self, checkpoint: str = "last") -> ppo.Policy:
+    @property
+    def layout(self) -> Layout:
+        """Return the layout the run was begun with."""
+        return Layout(**json.loads((self.folder / "settings.json").read_text())["layout"])
+
+    def simulation(self) -> Simulation:
+        """Return what the run played, from the operators and the baseline it keeps."""
+        settings = self.settings
+        if settings.env is not None:
+            return external.open_simulation(settings.env, settings.task.actions_per_episode)
+        base = baseline.load(self.folder / "baseline.npz")
+        ops = operators.load(self.folder / "operators.npz", settings.case, base.mesh)
+        return JetFlows(ops, base, settings.task)
+
+    def policy(self, checkpoint: str = "last") -> Policy:
         """Return the policy of a checkpoint (last or best). Only tensors are read from the zip, no pickle."""
         path = self.checkpoints / f"{checkpoint}.zip"
         if not path.exists():
             raise ValueError(
                 f"checkpoint: {path} is not there; wanted one of {sorted(p.stem for p in path.parent.glob('*.zip'))}"
             )
-        with zipfile.ZipFile(path) as archive, archive.open("policy.pth") as file:
-            return ppo.from_state(torch.load(file, weights_only=True))
+        with zipfile.ZipFile(path) as archive:
+            return ppo.from_state(_tensors(archive, "policy.pth"))
 
-    def check_baseline(self) -> None:
-        """Raise ValueError when the flow of this run is not the one its case has today."""
-        kept, today = baseline.load(self.folder / "baseline.npz"), baseline.get(self.settings.case)
-        if kept.digest() != today.digest():
-            raise ValueError(
-                f"run: {self.folder} was made from baseline {kept.digest()[:12]}, "
-                f"the case has {today.digest()[:12]} today; "
-                "evaluate it with the version of manywake that made it (settings.json has it)"
-            )
+    def version_path(self, number: int) -> Path:
+        """Return where the policy after `number` updates is kept, for episodes on their way and for replay."""
+        return self.folder / "versions" / f"{number:06d}.npz"
+
+    def version(self, number: int) -> Policy:
+        """Return the policy after `number` updates; ValueError when the run did not get there."""
+        path = self.version_path(number)
+        if not path.exists():
+            raise ValueError(f"version: got {number}, wanted one of those in {path.parent}")
+        return policies.read(path)
 
 
 def _case(data: dict[str, Any]) -> Case:
@@ -96,126 +109,128 @@ def _case(data: dict[str, Any]) -> Case:
     )
 
 
-def _model(settings: Settings, engine: Engine) -> EpisodicPPO:
-    collector = Collector(engine, settings.case, settings.task, settings.seed)
-    return ppo.build(*spaces(settings.case, settings.task), settings.learning, collector)
+def _tensors(archive: zipfile.ZipFile, name: str) -> dict[str, Any]:
+    with archive.open(name) as file:
+        return torch.load(file, weights_only=True)
 
 
-@dataclass(frozen=True)
-class Trained:
-    """What a training leaves: wall time and policy hash, and when it first got below shares of the drag.
+@dataclass
+class Progress:
+    """What of a training is neither policy nor optimiser: kept in the checkpoint, to go on from there."""
 
-    reached: drag reduction, of the exploring episodes of an update (second halves, so the noise's drag is in it), ->
-    (episodes, seconds), or None.
+    version: int = 0
+    pending: list[tuple[int, int]] = dataclasses.field(default_factory=list)
+    wall_s: float = 0.0
+    best: float = -np.inf
+    burst: int = 0
+    reached: dict[str, tuple[int, float] | None] = dataclasses.field(default_factory=lambda: dict.fromkeys(MILESTONES))
+
+
+def save(model: EpisodicPPO, progress: Progress, path: Path) -> None:
+    """Write a plain SB3 zip, with what else is needed to go on, whole or not at all."""
+    buffer = io.BytesIO()
+    model.save(buffer)
+    with zipfile.ZipFile(buffer, "a") as archive:
+        archive.writestr("manywake.json", json.dumps(asdict(progress)))
+    disk.write(path, lambda file: file.write(buffer.getvalue()))
+
+
+def checkpoint(run: Run, model: EpisodicPPO, progress: Progress) -> None:
+    """Write the policy version and the newest checkpoint; the one before stays as previous.zip."""
+    policies.write(ppo.snapshot(model), run.version_path(model.version))
+    last = run.checkpoints / "last.zip"
+    if last.exists():
+        last.replace(run.checkpoints / "previous.zip")
+    save(model, progress, last)
+
+
+def newest(run: Run) -> tuple[Progress, dict[str, Any], dict[str, Any]]:
+    """Return progress, weights and the optimiser's state of the newest checkpoint that is whole.
+
+    Tensors and plain data are read, no pickle. Raises ValueError when there is none.
     """
-
-    wall_time_s: float
-    episodes: int
-    policy_sha256: str
-    reached: dict[str, tuple[int, float] | None]
-
-
-class Watch(ppo.Hooks):
-    """Writes down what a training does: rows of episodes.csv, checkpoints, milestones."""
-
-    def __init__(self, run: Run, settings: Settings, show: Callable[[list[Episode]], None]):
-        super().__init__(arrived=show, collected=self._collected)
-        self.run, self.settings = run, settings
-        self.started = time.perf_counter()
-        self.best = -np.inf
-        self.cd_uncontrolled = baseline.get(settings.case).shedding.cd_mean
-        self.reached: dict[str, tuple[int, float] | None] = {"0.05": None, "0.07": None, "0.075": None}
-        with open(run.folder / "episodes.csv", "w", newline="") as file:
-            csv.writer(file).writerow(COLUMNS)
-
-    def _collected(self, model: EpisodicPPO, episodes: list[Episode]) -> None:
-        wall = time.perf_counter() - self.started
-        rows = [_row(episode, self.settings.task, wall) for episode in episodes]
-        with open(self.run.folder / "episodes.csv", "a", newline="") as file:
-            csv.writer(file).writerows(rows)
-        # the policy that played these episodes, before the update made of them
-        save(model, self.run.checkpoints / "last.zip")
-        score = float(np.mean([episode.rewards.sum() for episode in episodes]))
-        if score > self.best:
-            self.best = score
-            save(model, self.run.checkpoints / "best.zip")
-        whole = [row[COLUMNS.index("c_d_second_half")] for row in rows if not row[COLUMNS.index("terminated")]]
-        reduction = 1 - np.mean(whole) / self.cd_uncontrolled if whole else 0.0
-        for share, when in self.reached.items():
-            if when is None and reduction >= float(share):
-                self.reached[share] = (episodes[-1].index + 1, wall)
+    problems = []
+    for name in ("last", "previous"):
+        path = run.checkpoints / f"{name}.zip"
+        try:
+            with zipfile.ZipFile(path) as archive:
+                bad = archive.testzip()
+                if bad is not None:
+                    raise zipfile.BadZipFile(f"{bad} is damaged")
+                data = json.loads(archive.read("manywake.json"))
+                weights, moments = _tensors(archive, "policy.pth"), _tensors(archive, "policy.optimizer.pth")
+        except (OSError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+            problems.append(f"{path.name}: {error}")
+            continue
+        data["pending"] = [tuple(pair) for pair in data["pending"]]
+        return Progress(**data), weights, moments
+    raise ValueError(f"run: {run.folder} has no whole checkpoint ({'; '.join(problems)}); it must be trained anew")
 
 
-def _row(episode: Episode, task: Task, wall: float) -> list:
-    half = len(episode.c_d) // 2
-    return [
-        episode.index,
-        episode.policy_version,
-        len(episode.c_d),
-        float(episode.rewards.sum()),
-        *(float(part.mean()) for part in (episode.c_d, episode.c_d[half:], episode.c_l, episode.c_l[half:])),
-        float(np.sqrt(np.mean(episode.jets**2)) / task.max_flow_rate),
-        int(episode.terminated),
-        round(episode.flow_seconds, 3),
-        round(episode.policy_seconds, 3),
-        round(wall, 3),
-    ]
+def restore(run: Run, model: EpisodicPPO) -> Progress:
+    """Put the newest whole checkpoint into a model; return its progress."""
+    progress, weights, moments = newest(run)
+    model.policy.load_state_dict(weights)
+    model.policy.optimizer.load_state_dict(moments)
+    model.version = progress.version
+    model.num_timesteps = progress.version * model.learning.update_period * model.collector.simulation.horizon
+    model._n_updates = progress.version * model.learning.n_epochs
+    return progress
 
 
-def save(model: EpisodicPPO, path: Path) -> None:
-    """Write a plain SB3 zip, whole or not at all."""
-    temporary = path.with_suffix(".partial.zip")
-    model.save(temporary)
-    os.replace(temporary, path)
-
-
-def train(
-    folder: Path, settings: Settings, engine: Engine, show: Callable[[list[Episode]], None] = lambda episodes: None
-) -> Trained:
-    """Train into a new run folder; ValueError when it already holds a run or cannot be written."""
-    run = Run(folder)
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Hold a run folder for writing; ValueError when that cannot be."""
     try:
-        run.checkpoints.mkdir(parents=True, exist_ok=True)
+        (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
         held = FileLock(folder / ".lock", timeout=0).acquire()
     except Timeout:
         raise ValueError(f"run: {folder} is being written by another training; choose another --run") from None
     except OSError as error:
         raise ValueError(f"run: cannot write {folder} ({error}); choose another --run") from error
     with held:
-        if (folder / "settings.json").exists():
-            raise ValueError(f"run: {folder} already holds a training; choose another --run or delete it")
-        ops, base = baseline.assembled(settings.case)
-        described = {
-            **asdict(settings),
-            "baseline": base.digest(),
-            "operators": ops.digest,
-            "versions": {name: version(name) for name in ("manywake", "numba", "numpy", "stable-baselines3", "torch")},
-            "python": platform.python_version(),
-        }
-        baseline.save(base, folder / "baseline.npz")
-        (folder / "settings.json").write_text(json.dumps(described, indent=1) + "\n")
-        model = _model(settings, engine)
-        model.set_logger(configure(str(folder / "tensorboard"), ["csv", "tensorboard"]))
-        watch = Watch(run, settings, show)
-        model.hooks = watch
-        try:
-            model.learn(settings.learning.episodes * settings.task.actions_per_episode)
-        finally:
-            model.logger.close()
-        save(model, run.checkpoints / "last.zip")
-        wall = time.perf_counter() - watch.started
-    return Trained(wall, settings.learning.episodes, ppo.digest(model), watch.reached)
+        yield
+
+
+def append(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Append rows to a table, with its header if it is new."""
+    with open(path, "a", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        if file.tell() == 0:
+            writer.writeheader()
+        writer.writerows(rows)
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a table, none when it is not there."""
+    if not path.exists():
+        return []
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def cut(path: Path, version: int) -> None:
+    """Drop the rows of a table that are of updates from `version` on; they will be made again."""
+    if not path.exists():
+        return
+    with open(path, newline="") as file:
+        reader = csv.reader(file)
+        header = next(reader)
+        at = header.index("update")
+        # the last row may have been cut short
+        kept = [row for row in reader if len(row) == len(header) and int(row[at]) < version]
+    text = io.StringIO()
+    csv.writer(text).writerows([header, *kept])
+    disk.write(path, lambda file: file.write(text.getvalue().encode()))
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:
     """Write JSON, whole or not at all."""
-    temporary = path.with_suffix(".partial")
-    temporary.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
-    os.replace(temporary, path)
+    text = json.dumps(data, indent=1, allow_nan=False) + "\n"
+    disk.write(path, lambda file: file.write(text.encode()))
 
 
 def read_episodes(folder: Path) -> dict[str, np.ndarray]:
     """Return the columns of episodes.csv."""
-    with open(folder / "episodes.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
-    return {name: np.array([float(row[name]) for row in rows]) for name in COLUMNS}
+    table = rows(folder / "episodes.csv")
+    return {name: np.array([float(row[name]) for row in table]) for name in table[0]}

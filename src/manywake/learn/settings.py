@@ -1,6 +1,7 @@
 """All that decides a training: case, task, learner, seed. Free of torch, so that asking for help is quick."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from manywake.env.task import TASKS, Task
 from manywake.flow.case import Case
@@ -62,10 +63,58 @@ PROTOCOLS: dict[str, tuple[Task, Learning]] = {
 
 
 @dataclass(frozen=True)
+class Collection:
+    """How and where episodes are collected.
+
+    Synced, or on the virtual clock, neither engine, workers nor lanes changes a result; synced, envs does not either.
+    """
+
+    schedule: Literal["synced", "unsynced"] = "synced"
+    """synced: the episodes of an update are all played by one policy, and waited for. unsynced: every environment
+    goes on at once with the newest policy (paper, section 3.3: over-parallelisation)."""
+    clock: Literal["real", "virtual"] = "real"
+    """Whose order unsynced episodes come in: the machine's, or that of modelled durations, which is reproducible."""
+    envs: int | None = None
+    """Environments, N of the paper; as many as episodes of an update when none of envs, workers and lanes is given."""
+    workers: int | None = None
+    """Processes (or threads, or tasks of Ray at once) that they are spread over; worked out when not given."""
+    lanes: int | None = None
+    """Environments that a worker advances side by side; worked out when not given."""
+    engine: Literal["processes", "serial", "threads", "ray"] = "processes"
+    """Where episodes are played. serial: in one thread of the trainer."""
+    address: str | None = None
+    """Address of a running Ray cluster; auto finds it. Without one Ray is started on this machine."""
+    cpus_per_env: float = 1.0
+    """Cores that a block of environments takes, told to Ray: more than one for a simulation that runs on MPI."""
+    time_limit: float | None = None
+    """Seconds that a block may take until its worker is replaced; worked out from what an episode takes."""
+    episode_seconds: float = 5.0
+    """Virtual clock: mean duration of an episode."""
+    episode_spread: float = 0.005
+    """Virtual clock: standard deviation of the durations, relative to the mean."""
+    update_seconds: float = 0.3
+    """Virtual clock: duration of an update."""
+
+    def __post_init__(self) -> None:
+        if self.address is not None and self.engine != "ray":
+            raise ValueError(f"address: got {self.address!r} with engine {self.engine}, wanted it with --engine ray")
+        for name in ("episode_seconds", "cpus_per_env", "time_limit"):
+            value = getattr(self, name)
+            if value is not None and value <= 0:
+                raise ValueError(f"{name}: got {value:g}, wanted more than 0")
+
+
+@dataclass(frozen=True)
 class Settings:
-    """All that decides a run's result."""
+    """All that decides a run's result, and how it is come by.
+
+    env: another simulation, `module:factory` or an id registered with Gymnasium, in place of case and task, of which
+    only actions_per_episode is then used.
+    """
 
     case: Case
     task: Task
     learning: Learning
+    collection: Collection
     seed: int
+    env: str | None = None
