@@ -1,8 +1,10 @@
 """The commands as users type them."""
 
 import json
+import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -35,6 +37,26 @@ def test_train_evaluates_and_leaves_the_promised_files(tmp_path):
     again = manywake("evaluate", str(folder), "--json")
     assert again.returncode == 0, again.stderr
     assert json.loads(again.stdout.splitlines()[-1])["long_run"] == numbers["long_run"]
+    done = manywake("replay", str(folder), "1", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1])["same_as_recorded"] is True
+
+
+def test_a_training_stopped_by_ctrl_c_says_how_to_resume_and_resumes(tmp_path):
+    folder = tmp_path / "run"
+    words = ["train", "--run", str(folder), "--env", "Pendulum-v1", "--episodes", "8", "--update-period", "2"]
+    words += ["--actions-per-episode", "200", "--hidden", "8"]
+    command = [sys.executable, "-m", "manywake.cli", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as trainer:
+        while not (folder / "updates.csv").exists() and trainer.poll() is None:
+            time.sleep(0.005)
+        trainer.send_signal(signal.SIGINT)
+        text = trainer.communicate()[0]
+    assert trainer.returncode == 130, text
+    assert f"go on with: manywake resume {folder}" in " ".join(text.split())
+    done = manywake("resume", str(folder), "--json", "--engine", "serial")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1])["episodes"] == 8
 
 
 def test_protocol_sets_the_defaults_that_options_then_override(tmp_path):

@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 from manywake.env.task import Task
-from manywake.flow import case
 from manywake.learn import evaluate
 from manywake.learn.engine import Threads
 from manywake.learn.policy import Policy
-
-CASE = case.by_name("cylinder-jets")
+from manywake.learn.rollout import JetFlows
 
 
 def constant(action: float) -> Policy:
@@ -19,8 +17,8 @@ def constant(action: float) -> Policy:
 
 
 def test_no_control_has_no_drag_reduction_and_the_known_lift(shipped):
-    result = evaluate.play(CASE, Task(), constant(0.0), [shipped[1].start], 28)
-    steps = int(round(2 * shipped[1].shedding.period / CASE.time_step))
+    result = evaluate.play(JetFlows(*shipped, Task()), constant(0.0), [shipped[1].start], 28)
+    steps = int(round(2 * shipped[1].shedding.period / shipped[0].case.time_step))
     control = evaluate.control(shipped[1], Task(), result.c_d[:steps, 0], result.c_l[:steps, 0], result.jets[:steps, 0])
     assert control.drag_reduction == pytest.approx(0.0, abs=2e-4)
     assert control.cl_rms == pytest.approx(shipped[1].shedding.cl_rms, rel=2e-3)
@@ -37,8 +35,8 @@ def test_the_steady_flow_has_all_the_shedding_drag_removed(shipped):
 
 def test_evaluation_windows_and_engine_do_not_change_the_numbers(shipped):
     task = Task(actions_per_episode=2)
-    result = evaluate.evaluate(CASE, task, constant(0.3), Threads(2))
-    again = evaluate.evaluate(CASE, task, constant(0.3), Threads(1))
+    result = evaluate.evaluate(JetFlows(*shipped, task), constant(0.3), Threads(2))
+    again = evaluate.evaluate(JetFlows(*shipped, task), constant(0.3), Threads(1))
     assert result.summary() == again.summary()
     assert len(result.phases) == evaluate.PHASES
     assert result.trajectory.c_d.shape == (4 * 2 * 50, evaluate.PHASES)
@@ -47,11 +45,11 @@ def test_evaluation_windows_and_engine_do_not_change_the_numbers(shipped):
 
 
 def test_phases_are_an_eighth_of_a_period_apart(shipped):
-    result = evaluate.play(CASE, Task(), constant(0.0), [shipped[1].start], 14)
+    result = evaluate.play(JetFlows(*shipped, Task()), constant(0.0), [shipped[1].start], 14)
     from manywake.flow import baseline
 
     ops, base = shipped
     starts = baseline.phases(ops, base, 8)
-    late = evaluate.play(CASE, Task(), constant(0.0), [starts[2]], 1)
-    shift = int(round(2 * base.shedding.period / CASE.time_step / 8))
+    late = evaluate.play(JetFlows(*shipped, Task()), constant(0.0), [starts[2]], 1)
+    shift = int(round(2 * base.shedding.period / shipped[0].case.time_step / 8))
     np.testing.assert_array_equal(late.c_l[:, 0], result.c_l[shift : shift + 50, 0])

@@ -7,12 +7,12 @@ import torch
 from manywake.learn import policy as policies
 from manywake.learn import ppo
 
-from .toy import ToyCollector
+from .toy import LEARNING, collector
 
 
 @pytest.fixture
 def model():
-    made = ppo.build(*ToyCollector.spaces, ToyCollector.learning, ToyCollector())
+    made = ppo.build(LEARNING, collector())
     ppo.normaliser(made).update(np.random.default_rng(1).normal(2.0, 3.0, (500, 3)).astype(np.float32))
     with torch.no_grad():
         made.policy.action_net.weight.normal_(0.0, 0.3)

@@ -5,27 +5,43 @@ import dataclasses
 import numpy as np
 import pytest
 
-from manywake.env.env import spaces
 from manywake.env.task import Task
-from manywake.flow import case
-from manywake.learn import ppo
-from manywake.learn.collect import Collector
-from manywake.learn.engine import Threads
-from manywake.learn.rollout import rollout
+from manywake.learn import policy as policies
+from manywake.learn import ppo, schedule
+from manywake.learn.collect import Collector, Layout
+from manywake.learn.engine import Processes, Threads
+from manywake.learn.rollout import JetFlows, explore
 from manywake.learn.settings import Learning
 
-CASE = case.by_name("cylinder-jets")
 TASK = Task(actions_per_episode=3)
 LEARNING = Learning(update_period=5, episodes=10, batch_size=15, hidden=(16, 16))
 
 
-def collector(slots: int, lanes: int) -> Collector:
-    return Collector(Threads(slots), CASE, TASK, 7, lanes)
+@pytest.fixture(scope="module")
+def flows(shipped):
+    return JetFlows(*shipped, TASK)
+
+
+def taken(flows, engine=None, lanes=5, workers=1) -> Collector:
+    return Collector(
+        engine or Threads(1), flows, 7, Layout(5, workers, lanes), 5, 10, schedule.synced(np.ones(10), 5, 5, 0.1)
+    )
 
 
 @pytest.fixture(scope="module")
-def policy():
-    return ppo.snapshot(ppo.build(*spaces(CASE, TASK), LEARNING, collector(1, 8)))
+def processes():
+    made = Processes(3)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def policy(flows):
+    return ppo.snapshot(ppo.build(LEARNING, taken(flows)))
+
+
+def play(flows, policy, indices, run_seed=7):
+    return flows.play(policy, [explore(run_seed, index, TASK.actions_per_episode, 1) for index in indices])
 
 
 def physics(episode) -> bytes:
@@ -33,40 +49,65 @@ def physics(episode) -> bytes:
     parts = []
     for field in dataclasses.fields(episode):
         value = getattr(episode, field.name)
-        if not field.name.endswith("seconds"):
+        if field.name == "readings":
+            parts += [series.tobytes() for series in value.values()]
+        elif not field.name.endswith("seconds"):
             parts.append(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
     return b"|".join(parts)
 
 
 @pytest.fixture(scope="module")
-def alone(policy):
-    return [physics(rollout(CASE, TASK, policy, 7, [index])[0]) for index in range(5)]
+def alone(flows, policy):
+    return [physics(play(flows, policy, [index])[0]) for index in range(5)]
 
 
-@pytest.mark.parametrize(("slots", "lanes"), [(1, 8), (1, 2), (2, 3), (2, 1)])
-def test_engines_and_blocks_give_the_same_episodes(policy, alone, slots, lanes):
-    arrived = []
-    episodes = collector(slots, lanes).collect(policy, range(5), arrived.extend)
-    assert [physics(episode) for episode in episodes] == alone
-    assert sorted(episode.index for episode in arrived) == [0, 1, 2, 3, 4]
+@pytest.mark.parametrize(("workers", "lanes"), [(1, 5), (1, 2), (2, 3), (3, 2), (3, 1)])
+def test_engines_and_blocks_give_the_same_episodes(flows, policy, alone, processes, workers, lanes):
+    for engine in (Threads(workers), processes):
+        arrived = []
+        collector = taken(flows, engine, lanes, workers)
+        collector.seen = arrived.extend
+        assert [physics(episode) for episode in collector.collect(policy)] == alone
+        assert sorted(episode.index for episode in arrived) == [0, 1, 2, 3, 4]
 
 
-def test_another_episode_or_run_seed_explores_differently(policy, alone):
+def test_another_episode_or_run_seed_explores_differently(flows, policy, alone):
     assert len(set(alone)) == 5
-    assert physics(rollout(CASE, TASK, policy, 8, [0])[0]) != alone[0]
+    assert physics(play(flows, policy, [0], run_seed=8)[0]) != alone[0]
 
 
-def test_training_gives_the_same_policy_for_any_number_of_lanes_and_threads():
-    def digest(slots, lanes):
-        model = ppo.build(*spaces(CASE, TASK), LEARNING, collector(slots, lanes))
+def test_training_gives_the_same_policy_for_any_number_of_lanes_and_workers(flows, processes):
+    def digest(*how):
+        model = ppo.build(LEARNING, taken(flows, *how))
         model.learn(LEARNING.episodes * TASK.actions_per_episode)
         return ppo.digest(model)
 
-    assert digest(1, 8) == digest(2, 3) == digest(2, 1)
+    assert digest() == digest(Threads(2), 3, 2) == digest(processes, 1, 3)
 
 
-def test_actions_are_stored_as_drawn_and_played_clipped(policy):
+def test_actions_are_stored_as_drawn_and_played_clipped(flows, policy):
     loud = dataclasses.replace(policy, std=np.array([5.0]), log_std=np.log([5.0]))
-    episode = rollout(CASE, TASK, loud, 7, [0])[0]
+    episode = play(flows, loud, [0])[0]
     assert np.abs(episode.actions).max() > 1
-    assert np.abs(episode.jets).max() <= TASK.max_flow_rate
+    assert np.abs(episode.readings["jets"]).max() <= TASK.max_flow_rate
+
+
+def test_a_policy_comes_back_from_its_file_as_it_went(policy, tmp_path):
+    policies.write(policy, tmp_path / "policy.npz")
+    back = policies.read(tmp_path / "policy.npz")
+    assert back.version == policy.version
+    for ours, theirs in zip(
+        [*sum(back.layers, ()), back.mean, back.deviation, back.log_std, back.std],
+        [*sum(policy.layers, ()), policy.mean, policy.deviation, policy.log_std, policy.std],
+        strict=True,
+    ):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_worker_never_assembles(flows, policy, processes):
+    """What a worker plays with came from the trainer, with nothing in it that assembly would have left."""
+    assert processes.submit(assembled_there, processes.share(flows)).result(60) == (True, flows.operators.digest)
+
+
+def assembled_there(flows):
+    return "space" not in vars(flows.operators), flows.operators.digest

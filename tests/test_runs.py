@@ -10,22 +10,25 @@ from stable_baselines3 import PPO
 from manywake.env.task import Task
 from manywake.flow import baseline, case
 from manywake.learn import policy as policies
-from manywake.learn import ppo, runs
+from manywake.learn import ppo, runs, train
+from manywake.learn.collect import Layout
 from manywake.learn.engine import Threads
-from manywake.learn.settings import PROTOCOLS, Learning, Settings
+from manywake.learn.settings import PROTOCOLS, Collection, Learning, Settings
 
 SETTINGS = Settings(
     case.by_name("cylinder-jets"),
     Task(actions_per_episode=2),
     Learning(update_period=2, episodes=4, batch_size=4, hidden=(8,)),
+    Collection(engine="serial"),
     seed=3,
 )
+LAYOUT = Layout(2, 1, 2)
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "a"
-    trained = runs.train(folder, SETTINGS, Threads(1))
+    trained = train.train(folder, SETTINGS, Threads(1), LAYOUT)
     return folder, trained
 
 
@@ -37,6 +40,7 @@ def test_every_episode_has_its_row(run):
     table = runs.read_episodes(run[0])
     np.testing.assert_array_equal(table["episode"], [0, 1, 2, 3])
     np.testing.assert_array_equal(table["version"], [0, 0, 1, 1])
+    np.testing.assert_array_equal(table["update"], [0, 0, 1, 1])
     assert np.isfinite(table["c_d"]).all()
     assert (table["length"] == 2).all()
 
@@ -63,19 +67,21 @@ def test_last_is_the_policy_whose_hash_is_reported(run):
 
 
 def test_a_second_training_in_the_same_folder_is_refused(run):
-    with pytest.raises(ValueError, match="already holds a training; choose another --run"):
-        runs.train(run[0], SETTINGS, Threads(1))
+    with pytest.raises(
+        ValueError, match="already holds a training; choose another --run, delete it, or go on with: manywake resume"
+    ):
+        train.train(run[0], SETTINGS, Threads(1), LAYOUT)
 
 
 def test_a_folder_in_use_is_refused(tmp_path):
     with FileLock(tmp_path / ".lock"), pytest.raises(ValueError, match="being written by another training"):
-        runs.train(tmp_path, SETTINGS, Threads(1))
+        train.train(tmp_path, SETTINGS, Threads(1), LAYOUT)
 
 
 def test_a_folder_that_cannot_be_written_is_refused_before_the_first_episode(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ValueError, match="cannot write"):
-        runs.train(tmp_path / "file" / "run", SETTINGS, Threads(1))
+        train.train(tmp_path / "file" / "run", SETTINGS, Threads(1), LAYOUT)
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path):
@@ -84,7 +90,7 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path):
 
 
 def test_an_unknown_checkpoint_is_refused_with_those_there_are(run):
-    with pytest.raises(ValueError, match=r"wanted one of \['best', 'last'\]"):
+    with pytest.raises(ValueError, match=r"wanted one of \['best', 'last', 'previous'\]"):
         runs.Run(run[0]).policy("first")
 
 
@@ -103,3 +109,34 @@ def test_settings_file_is_plain_json(run):
     data = json.loads((run[0] / "settings.json").read_text())
     assert data["seed"] == 3
     assert data["versions"]["manywake"]
+
+
+def test_the_folder_keeps_the_operators_its_episodes_were_played_with(run):
+    simulation = runs.Run(run[0]).simulation()
+    assert simulation.operators.digest == json.loads((run[0] / "settings.json").read_text())["operators"]
+
+
+def test_every_version_is_kept(run):
+    kept = [runs.Run(run[0]).version(number) for number in range(3)]
+    last = runs.Run(run[0]).policy()
+    np.testing.assert_array_equal(kept[2].layers[0][0], last.layers[0][0])
+    with pytest.raises(ValueError, match="version: got 3, wanted one of those in"):
+        runs.Run(run[0]).version(3)
+
+
+@pytest.mark.parametrize("index", [0, 3])
+def test_an_episode_replayed_alone_has_the_numbers_it_had(run, index):
+    replayed = train.replay(runs.Run(run[0]), index)
+    assert replayed.same is True
+    assert replayed.episode.policy_version == index // 2
+
+
+def test_an_episode_that_never_was_cannot_be_replayed(run):
+    with pytest.raises(ValueError, match="episode: got 4, wanted one of the run's 4"):
+        train.replay(runs.Run(run[0]), 4)
+
+
+def test_updates_have_their_row(run):
+    rows = runs.rows(run[0] / "updates.csv")
+    assert [row["update"] for row in rows] == ["0", "1"]
+    assert all(row["clipped_before"] == "0.0" and row["staleness_max"] == "0" for row in rows)

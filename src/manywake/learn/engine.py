@@ -100,29 +100,37 @@ class Processes:
         return shared
 
     def submit(self, fn, *args: Any, timeout: float | None = None) -> Future:
-        with self._lock:
-            if self._closed:
-                raise RuntimeError("engine: closed")
-            if not self._free:
-                self._free.append(self._pool())
-                self._pools.update(self._free)
-            pool = self._free.pop()
         outer: Future = Future()
         outer.set_running_or_notify_cancel()
-        inner = pool.schedule(call, args=[fn, *args], timeout=timeout)
+        inner = None
+        while inner is None:
+            with self._lock:
+                if self._closed:
+                    raise RuntimeError("engine: closed")
+                if not self._free:
+                    self._free.append(self._pool())
+                    self._pools.update(self._free)
+                pool = self._free.pop()
+            try:
+                inner = pool.schedule(call, args=[fn, *args], timeout=timeout)
+            except RuntimeError:  # its worker died while it had nothing to do
+                self._drop(pool)
         inner.add_done_callback(lambda done: self._done(pool, done, outer))
         return outer
+
+    def _drop(self, pool: ProcessPool) -> None:
+        with self._lock:
+            self._pools.discard(pool)
+        threading.Thread(target=_stop, args=[pool], daemon=True).start()
 
     def _done(self, pool: ProcessPool, inner: Future, outer: Future) -> None:
         error = WorkerDied("the engine was closed") if inner.cancelled() else _told_apart(inner.exception())
         with self._lock:
-            keep = not self._closed and len(self._free) < self.slots and not isinstance(error, WorkerDied | TimedOut)
+            keep = len(self._free) < self.slots and not isinstance(error, WorkerDied | TimedOut)
             if keep:
                 self._free.append(pool)
-            elif not self._closed:
-                self._pools.discard(pool)
         if not keep and not self._closed:
-            threading.Thread(target=_stop, args=[pool], daemon=True).start()
+            self._drop(pool)
         if error is None:
             outer.set_result(inner.result())
         else:

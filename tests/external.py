@@ -1,0 +1,36 @@
+"""Environments that are not ours: a point to be pushed back to zero, and one that fails."""
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+
+
+class Point(gymnasium.Env):
+    observation_space = Box(-10, 10, (2, 1), np.float32)
+    action_space = Box(-2, 2, (1,), np.float32)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.x = self.np_random.uniform(-1, 1)
+        return self._observe(), {}
+
+    def step(self, action):
+        assert action.shape == (1,) and abs(action[0]) <= 2
+        self.x += 0.1 + 0.5 * float(action[0])
+        return self._observe(), -abs(self.x), abs(self.x) > 3, False, {"distance": abs(self.x), "note": "text"}
+
+    def _observe(self):
+        return np.array([[self.x], [1.0]], np.float32)
+
+
+class Broken(Point):
+    def step(self, action):
+        raise ArithmeticError("out of order")
+
+
+def make():
+    return Point()
+
+
+def broken():
+    return Broken()

@@ -1,0 +1,192 @@
+"""Collection loses no episode and changes none: not by layout, engine, schedule or fault."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from manywake.learn import collect, ppo, schedule
+from manywake.learn.collect import EpisodeFailed, Layout, layout
+from manywake.learn.engine import Processes, Threads
+from manywake.learn.settings import Learning
+
+from .toy import Toy, collector, synced
+
+LEARNING = Learning(update_period=10, episodes=40, learning_rate=3e-3, batch_size=50, n_epochs=1, hidden=(8,))
+HORIZON = 5
+SECONDS = schedule.durations(0, LEARNING.episodes, 5.0, 0.05)
+
+
+def digest(toy=Toy(horizon=HORIZON), **changes) -> str:  # noqa: B008
+    model = ppo.build(LEARNING, collector(toy, learning=LEARNING, **changes))
+    seen = []
+    model.hooks.collected = lambda model, episodes: seen.extend(episode.index for episode in episodes)
+    model.learn(LEARNING.episodes * HORIZON)
+    assert sorted(seen) == list(range(LEARNING.episodes))
+    return ppo.digest(model)
+
+
+@pytest.fixture(scope="module")
+def serial():
+    return digest()
+
+
+@pytest.fixture(scope="module")
+def processes():
+    engine = Processes(3)
+    yield engine
+    engine.close()
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (2, 2, 1), (5, 2, 3), (10, 3, 4), (10, 1, 10)])
+def test_synced_training_is_the_same_for_any_number_of_environments_and_layout(serial, processes, shape):
+    grid = Layout(*shape)
+    engine = processes if grid.workers > 1 else Threads(1)
+    assert digest(engine=engine, layout=grid, plan=synced(40, grid.environments, 10)) == serial
+
+
+@pytest.mark.parametrize("shape", [(25, 1, 1), (25, 3, 4), (25, 2, 8)])
+def test_unsynced_training_on_the_virtual_clock_is_the_same_for_any_layout(processes, shape):
+    plan = schedule.unsynced(SECONDS, 25, 10, 0.3)
+    assert (plan.update > plan.version).any()
+    reference = digest(layout=Layout(25, 1, 25), plan=plan)
+    assert digest(engine=processes, layout=Layout(*shape), plan=plan) == reference
+
+
+def test_unsynced_on_the_real_clock_uses_every_episode_once_with_the_version_it_began_with(processes):
+    toy = Toy(horizon=HORIZON, seconds=0.02)
+    taken = collector(toy, learning=LEARNING, engine=processes, layout=Layout(12, 3, 4), plan=None)
+    model = ppo.build(LEARNING, taken)
+    batches = []
+    model.hooks.collected = lambda model, episodes: batches.append((model.version, episodes))
+    model.learn(LEARNING.episodes * HORIZON)
+    assert sorted(e.index for _, episodes in batches for e in episodes) == list(range(40))
+    for version, episodes in batches:
+        assert all(episode.policy_version <= version for episode in episodes)
+        assert [e.index for e in episodes] == sorted(e.index for e in episodes)
+    assert taken.pending() == []
+
+
+@pytest.mark.parametrize("fault", ["raise", "kill", "hang"])
+def test_a_fault_costs_time_and_no_bit(tmp_path, serial, fault):
+    engine = Processes(2)
+    lost = []
+    toy = Toy(horizon=HORIZON, faults=((3, fault), (17, fault)), folder=tmp_path)
+    try:
+        found = digest(
+            toy=toy,
+            engine=engine,
+            layout=Layout(10, 2, 4),
+            time_limit=2.0 if fault == "hang" else None,
+            failed=lost.append,
+        )
+    finally:
+        engine.close()
+    assert found == serial
+    assert [failure.kind for failure in lost] == [{"raise": "raised", "kill": "died", "hang": "timed out"}[fault]] * 2
+    assert 3 in lost[0].episodes and 17 in lost[1].episodes
+
+
+@pytest.mark.parametrize("fault", ["raise", "kill"])
+def test_a_fault_on_the_real_clock_loses_no_episode_and_no_environment(tmp_path, processes, fault):
+    toy = Toy(horizon=HORIZON, faults=((5, fault),), folder=tmp_path, seconds=0.02)
+    taken = collector(toy, learning=LEARNING, engine=processes, layout=Layout(8, 2, 4), plan=None)
+    policy = ppo.snapshot(ppo.build(LEARNING, taken))
+    assert len(taken.collect(policy)) == 10
+    assert len(taken.pending()) >= 8 - 4  # blocks that were split go on once all of their block has come
+
+
+def test_an_episode_that_always_fails_stops_the_training_and_is_named(tmp_path, processes):
+    toy = Toy(horizon=HORIZON, faults=((13, "raise"),), folder=tmp_path, times=99)
+    lost = []
+    taken = collector(toy, learning=LEARNING, run_seed=4, engine=processes, layout=Layout(10, 3, 5), failed=lost.append)
+    with pytest.raises(EpisodeFailed, match="episode 13 of run seed 4 failed 3 times.*episode 13 is bad") as caught:
+        ppo.build(LEARNING, taken).learn(LEARNING.episodes * HORIZON)
+    assert caught.value.index == 13
+    assert [failure.attempt for failure in lost] == [0, 1, 2, 3]  # once with its block, three times alone
+    assert all(failure.kind == "raised" for failure in lost)
+
+
+def test_blocks_never_mix_versions_and_never_outnumber_the_workers():
+    running, most, versions = 0, 0, []
+    lock = threading.Lock()
+
+    class Counting(Toy):
+        def play(self, policy, explorations):
+            nonlocal running, most
+            with lock:
+                running += 1
+                most = max(most, running)
+            try:
+                episodes = super().play(policy, explorations)
+                versions.append({episode.policy_version for episode in episodes})
+                return episodes
+            finally:
+                with lock:
+                    running -= 1
+
+    plan = schedule.unsynced(SECONDS, 25, 10, 0.3)
+    digest(toy=Counting(horizon=HORIZON, seconds=0.01), engine=Threads(8), layout=Layout(25, 3, 4), plan=plan)
+    assert most <= 3
+    assert all(len(found) == 1 for found in versions)
+
+
+def test_a_collector_that_goes_on_from_the_middle_gives_the_same_episodes():
+    plan = schedule.unsynced(SECONDS, 25, 10, 0.3)
+    whole = collector(Toy(horizon=HORIZON), learning=LEARNING, layout=Layout(25, 1, 8), plan=plan)
+    model = ppo.build(LEARNING, whole)
+    policies = [ppo.snapshot(model)]
+    batches = []
+
+    def remember(model, episodes):
+        policies.append(ppo.snapshot(model))
+        batches.append(episodes)
+
+    model.hooks.updated = remember
+    model.learn(LEARNING.episodes * HORIZON)
+    again = collector(Toy(horizon=HORIZON), learning=LEARNING, layout=Layout(25, 1, 3), plan=plan)
+    begun = np.flatnonzero((plan.version < 2) & (plan.update >= 2))
+    again.resume(2, [(int(k), int(plan.version[k])) for k in begun], policies.__getitem__)
+    for version in (2, 3):
+        for ours, theirs in zip(again.collect(policies[version]), batches[version], strict=True):
+            assert ours.index == theirs.index
+            np.testing.assert_array_equal(ours.actions, theirs.actions)
+
+
+@pytest.mark.parametrize(
+    ("given", "cores", "wanted"),
+    [
+        ((20, None, None), 2, (20, 3, 8)),
+        ((5, None, None), 2, (5, 2, 3)),
+        ((1, None, None), 2, (1, 1, 1)),
+        ((20, None, None), 64, (20, 20, 1)),
+        ((60, None, None), 4, (60, 5, 8)),
+        ((None, None, None), 2, (20, 3, 8)),
+        ((None, 2, 4), 2, (8, 2, 4)),
+        ((12, 3, None), 2, (12, 3, 4)),
+        ((7, None, 7), 2, (7, 1, 7)),
+    ],
+)
+def test_a_layout_is_worked_out_from_what_is_given(given, cores, wanted):
+    assert layout(*given, period=20, cores=cores) == Layout(*wanted)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ((0, None, None), "envs: got 0, wanted at least 1"),
+        ((4, 3, 2), "workers: got 3 of 2 lanes for 4 environments, wanted at most 2"),
+    ],
+)
+def test_a_layout_that_does_not_fit_is_refused(given, message):
+    with pytest.raises(ValueError, match=message):
+        layout(*given, period=20, cores=2)
+
+
+def test_where_the_time_went_adds_up(processes):
+    taken = collector(Toy(horizon=HORIZON, seconds=0.2), learning=LEARNING, engine=processes, layout=Layout(10, 3, 4))
+    policy = ppo.snapshot(ppo.build(LEARNING, taken))
+    taken.collect(policy)
+    for episode in taken.collect(collect.replace(policy, version=1)):
+        assert episode.transport_seconds > 0.05  # the toy says nothing of its own time, so all of it is transport
+        assert 0 <= episode.waiting_seconds < 5

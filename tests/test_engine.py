@@ -1,0 +1,174 @@
+"""Engines: a future tells a result from an exception, a dead worker and a time-out; closing leaves nobody behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+
+from manywake.learn.engine import Processes, Threads, TimedOut, WorkerDied
+
+
+def double(x):
+    return 2 * x
+
+
+def bad(x):
+    raise ArithmeticError(f"{x} is bad")
+
+
+class Unsendable(Exception):
+    def __init__(self, a, b):
+        super().__init__(a)
+
+
+def unsendable():
+    raise Unsendable(1, 2)
+
+
+def out_of_memory():
+    raise MemoryError("no room")
+
+
+def pid():
+    return os.getpid()
+
+
+def die(number):
+    os.kill(os.getpid(), number)
+
+
+def hang():
+    while True:
+        time.sleep(60)
+
+
+def gone(process: int) -> bool:
+    """Return whether a process has ended, within five seconds; a zombie has."""
+    for _ in range(500):
+        try:
+            with open(f"/proc/{process}/stat") as file:
+                if file.read().rsplit(")", 1)[1].split()[0] == "Z":
+                    return True
+        except FileNotFoundError:
+            return True
+        time.sleep(0.01)
+    return False
+
+
+@pytest.fixture(params=[Threads, Processes])
+def engine(request):
+    made = request.param(2)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def processes():
+    made = Processes(2)
+    yield made
+    made.close()
+
+
+def test_a_future_ends_in_the_result(engine):
+    assert [f.result(60) for f in [engine.submit(double, k) for k in range(5)]] == [0, 2, 4, 6, 8]
+
+
+def test_a_future_ends_in_the_exception_that_was_raised(engine):
+    with pytest.raises(ArithmeticError, match="7 is bad"):
+        engine.submit(bad, 7).result(60)
+    assert engine.submit(double, 4).result(60) == 8
+
+
+def test_what_is_shared_arrives(engine):
+    shared = engine.share({"a": 1.5})
+    assert engine.submit(dict.__getitem__, shared, "a").result(60) == 1.5
+
+
+def test_an_exception_that_cannot_travel_comes_as_its_text(processes):
+    with pytest.raises(RuntimeError, match="Unsendable: 1"):
+        processes.submit(unsendable).result(60)
+    assert processes.submit(double, 4).result(60) == 8
+
+
+def test_memory_that_runs_out_is_an_exception_of_its_task_only(processes):
+    with pytest.raises(MemoryError):
+        processes.submit(out_of_memory).result(60)
+    assert processes.submit(double, 4).result(60) == 8
+
+
+def test_a_killed_worker_is_told_and_replaced_and_harms_no_other(processes):
+    other = processes.submit(time.sleep, 1.0)
+    with pytest.raises(WorkerDied, match="signal 9"):
+        processes.submit(die, signal.SIGKILL).result(60)
+    assert other.result(60) is None
+    workers = {processes.submit(pid).result(60) for _ in range(4)}
+    assert os.getpid() not in workers
+
+
+def test_an_idle_worker_that_was_killed_is_replaced(processes):
+    victim = processes.submit(pid).result(60)
+    os.kill(victim, signal.SIGKILL)
+    assert gone(victim)
+    results = []
+    for k in range(6):
+        try:
+            results.append(processes.submit(double, k).result(60))
+        except WorkerDied:
+            results.append("died")
+    assert results.count("died") <= 1
+    assert results[-3:] == [6, 8, 10]
+
+
+def test_a_worker_that_hangs_past_its_time_is_told_and_ended(processes):
+    worker = processes.submit(pid).result(60)
+    futures = [processes.submit(hang, timeout=0.5) for _ in range(2)]
+    for future in futures:
+        with pytest.raises(TimedOut, match="no result within"):
+            future.result(60)
+    assert processes.submit(double, 4).result(60) == 8
+    assert gone(worker)
+
+
+def test_closing_leaves_no_process_behind_even_amid_work():
+    engine = Processes(3)
+    workers = {engine.submit(pid).result(60) for _ in range(6)}
+    engine.submit(hang)
+    engine.close()
+    assert all(gone(worker) for worker in workers)
+    with pytest.raises(RuntimeError, match="closed"):
+        engine.submit(pid)
+
+
+def test_workers_end_when_their_trainer_is_killed(tmp_path):
+    script = tmp_path / "trainer.py"
+    script.write_text(
+        textwrap.dedent(
+            """
+            import os, time
+            from manywake.learn.engine import Processes
+
+            if __name__ == "__main__":
+                engine = Processes(2)
+                shared = engine.share(1)
+                print(shared.path, *{engine.submit(os.getpid).result(60) for _ in range(8)}, flush=True)
+                futures = [engine.submit(time.sleep, 600) for _ in range(2)]
+                time.sleep(600)
+            """
+        )
+    )
+    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True) as trainer:
+        try:
+            path, *workers = trainer.stdout.readline().split()
+            assert workers and os.path.exists(path)
+        finally:
+            trainer.kill()
+    assert all(gone(int(worker)) for worker in workers)
+    for _ in range(500):
+        if not os.path.exists(os.path.dirname(path)):
+            break
+        time.sleep(0.01)
+    assert not os.path.exists(os.path.dirname(path))
