@@ -6,9 +6,11 @@ skrl takes a Gymnasium vector environment as it is. It records every step, so th
 on the reset (reward 0, action without effect) is in its samples too: one in `actions_per_episode` + 1.
 """
 
+import numpy as np
 import skrl
 import torch
 import tyro
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from skrl.agents.torch.ppo import PPO, PPO_CFG
 from skrl.envs.wrappers.torch import wrap_env
 from skrl.memories.torch import RandomMemory
@@ -70,7 +72,8 @@ def train(
     torch.manual_seed(seed)
     torch.set_num_threads(1)  # networks this small are slower on more
     batch = CylinderJetsVectorEnv(flows, actions_per_episode=actions_per_episode, action_interval=action_interval)
-    environment = wrap_env(batch, wrapper="gymnasium", verbose=False)
+    watched = RecordEpisodeStatistics(batch)
+    environment = wrap_env(watched, wrapper="gymnasium", verbose=False)
     spaces = {
         "observation_space": environment.observation_space,
         "action_space": environment.action_space,
@@ -98,6 +101,7 @@ def train(
         SequentialTrainer(cfg=steps, env=environment, agents=agent).train()
     finally:
         environment.close()
+    print(f"mean reward of the last {len(watched.return_queue)} episodes {np.mean(watched.return_queue):.4g}")
     return agent
 
 

@@ -249,15 +249,45 @@ def test_a_training_calms_the_wake_and_solvers_killed_in_mid_episode_change_no_b
     assert all(gone(solver) for solver in solvers)
 
 
-def test_the_command_of_the_readme_trains_from_the_examples_folder(tmp_path):
-    words = "train --env environment:make --actions-per-episode 40 --episodes 20 --update-period 10".split()
-    words += ["--engine", "serial", "--hidden", "16", "16", "--run", str(tmp_path / "run"), "--json"]
-    done = subprocess.run(
-        [sys.executable, "-m", "manywake.cli", *words],
-        cwd=FOLDER, env=ENVIRONMENT, capture_output=True, text=True, timeout=120,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout.splitlines()[-1])["episodes"] == 20
+def solvers_under(ancestor: int) -> list[int]:
+    """Return the running solvers among the descendants of a process."""
+    parents, solvers = {}, []
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        try:
+            state = (entry / "stat").read_text().rpartition(")")[2].split()
+            if b"solver.py" in (entry / "cmdline").read_bytes():
+                solvers.append(int(entry.name))
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        parents[int(entry.name)] = int(state[1])
+
+    def under(process: int) -> bool:
+        return process in parents and (parents[process] == ancestor or under(parents[process]))
+
+    return [solver for solver in solvers if under(solver)]
+
+
+def test_the_command_of_the_readme_trains_and_leaves_no_solver_when_it_is_killed(tmp_path):
+    command = next(line for line in (FOLDER / "README.md").read_text().splitlines() if "manywake train" in line)
+    words = command.replace("--episodes 200", "--episodes 100000").split()[1:]
+    words += ["--workers", "2", "--learner-threads", "1", "--run", str(tmp_path / "run")]
+    with open(tmp_path / "log", "w") as log:
+        trainer = subprocess.Popen(
+            [sys.executable, "-m", "manywake.cli", *words], cwd=FOLDER, env=ENVIRONMENT, stdout=log, stderr=log
+        )
+    with trainer:
+        until, solvers = time.monotonic() + 60, []
+        while trainer.poll() is None and time.monotonic() < until:
+            time.sleep(0.2)
+            if (tmp_path / "run" / "episodes.csv").exists():
+                solvers = solvers_under(trainer.pid)
+                break
+        trainer.kill()
+    assert len(solvers) == 2, (tmp_path / "log").read_text()
+    assert runs.rows(tmp_path / "run" / "episodes.csv")
+    assert all(gone(solver) for solver in solvers)
 
 
 # ---- the native environment under other libraries
@@ -313,10 +343,11 @@ def test_stable_baselines3_takes_steps_with_finite_losses(algorithm, losses, one
     assert all(episode["l"] == 3 for episode in model.ep_info_buffer) and len(model.ep_info_buffer) == 8
 
 
-def test_skrl_takes_steps_with_finite_losses(one_thread):
+def test_skrl_takes_steps_with_finite_losses(one_thread, capsys):
     from examples import train_skrl
 
     agent = train_skrl.train(actions=32, flows=2, **SHORT)
     for name in ("policy", "value"):
         losses = agent.tracking_data[f"Loss / {name.title()} loss"]
         assert len(losses) == 2 and np.isfinite(losses).all()
+    assert float(capsys.readouterr().out.split()[-1]) < 0  # the mean reward
