@@ -12,7 +12,9 @@ from manywake.learn.settings import Learning
 
 from .toy import Toy, collector, synced
 
-LEARNING = Learning(update_period=10, episodes=40, learning_rate=3e-3, batch_size=50, n_epochs=1, hidden=(8,))
+LEARNING = Learning(
+    update_period=10, episodes=40, learner_threads=1, learning_rate=3e-3, batch_size=50, n_epochs=1, hidden=(8,)
+)
 HORIZON = 5
 SECONDS = schedule.durations(0, LEARNING.episodes, 5.0, 0.05)
 

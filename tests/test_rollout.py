@@ -14,7 +14,7 @@ from manywake.learn.rollout import JetFlows, explore
 from manywake.learn.settings import Learning
 
 TASK = Task(actions_per_episode=3)
-LEARNING = Learning(update_period=5, episodes=10, batch_size=15, hidden=(16, 16))
+LEARNING = Learning(update_period=5, episodes=10, learner_threads=1, batch_size=15, hidden=(16, 16))
 
 
 @pytest.fixture(scope="module")

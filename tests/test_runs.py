@@ -18,7 +18,7 @@ from manywake.learn.settings import PROTOCOLS, Collection, Learning, Settings
 SETTINGS = Settings(
     case.by_name("cylinder-jets"),
     Task(actions_per_episode=2),
-    Learning(update_period=2, episodes=4, batch_size=4, hidden=(8,)),
+    Learning(update_period=2, episodes=4, learner_threads=1, batch_size=4, hidden=(8,)),
     Collection(engine="serial"),
     seed=3,
 )

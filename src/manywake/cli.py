@@ -5,6 +5,7 @@ Strings become objects here.
 
 import dataclasses
 import json
+import os
 import signal
 import sys
 import time
@@ -271,7 +272,7 @@ def _numbers(episodes, failures: int) -> str:
 
 def _shares(seconds: dict[str, float]) -> str:
     total = sum(seconds.values())
-    return " ".join(f"{name} {value / total:.0%}" for name, value in seconds.items()) if total else ""
+    return " ".join(f"{name} {value / total:.0%}" for name, value in seconds.items() if value > total / 200)
 
 
 @dataclass(frozen=True)
@@ -297,7 +298,9 @@ class TrainCommand:
         try:
             from manywake.learn import train
 
-            settings = Settings(case.by_name(self.case), self.task, self.learning, self.collection, self.seed, self.env)
+            settings = Settings(
+                case.by_name(self.case), self.task, self.learning, self.collection, self.seed, self.env, os.getcwd()
+            )
             stamp = time.strftime("%Y%m%d-%H%M%S")
             name = self.case if self.env is None else self.env.replace(":", "-").replace("/", "-")
             folder = self.run_folder or Path("runs") / f"{name}-s{self.seed}-{stamp}"

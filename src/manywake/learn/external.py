@@ -1,11 +1,10 @@
 """Any other simulation behind a Gymnasium environment, played an episode at a time."""
 
 import importlib
-import os
 import sys
+import threading
 import time
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import dataclass
 
 import gymnasium
 import numpy as np
@@ -20,36 +19,38 @@ from manywake.learn.rollout import Episode, Exploration
 class External:
     """An environment by name: `module:factory`, or an id registered with Gymnasium.
 
-    horizon: most actions of an episode; an episode that gets there is truncated. folder: where the module is looked
-    for besides the installed packages. The environment is made once in each worker, reset with the episode's seed, and
-    made anew after an error. To give the same bits everywhere it must depend on that seed and the actions only.
+    horizon: most actions of an episode; one that gets there is truncated. folder: where the module is looked for
+    besides the installed packages. observation, action: its spaces, flattened to vectors. Each worker (and each thread)
+    makes the environment once, resets it with the episode's seed, and after an error closes it and makes it anew. To
+    give the same bits everywhere it must depend on that seed and the actions only.
     """
 
     name: str
     horizon: int
-    folder: str = field(default_factory=os.getcwd)
+    folder: str
+    observation: Box
+    action: Box
 
     def spaces(self) -> tuple[Box, Box]:
-        """Return the environment's spaces, flattened to vectors."""
-        environment = _environment(self.name, self.folder)
-        observation, action = environment.observation_space, environment.action_space
-        assert isinstance(observation, Box) and isinstance(action, Box)
-        return tuple(Box(_flat(space.low), _flat(space.high)) for space in (observation, action))  # type: ignore[return-value]
+        return self.observation, self.action
 
     def play(self, policy: Policy, explorations: list[Exploration]) -> list[Episode]:
+        key = self.name, self.folder
+        if getattr(_here, "key", None) != key:
+            _close()
+            _here.environment, _here.key = _make(*key), key
         try:
-            return [self._play(policy, exploration) for exploration in explorations]
+            return [self._play(_here.environment, policy, exploration) for exploration in explorations]
         except BaseException:
-            _environment.cache_clear()
+            _close()
             raise
 
-    def _play(self, policy: Policy, exploration: Exploration) -> Episode:
-        environment = _environment(self.name, self.folder)
+    def _play(self, environment: gymnasium.Env, policy: Policy, exploration: Exploration) -> Episode:
         space = environment.action_space
         assert isinstance(space, Box)
         observation, _ = environment.reset(seed=exploration.seed)
         observations, actions, log_probs, rewards = [_flat(observation)], [], [], []
-        readings: dict[str, list[float]] = {}
+        readings: dict[str, dict[int, float]] = {}
         policy_seconds, begin, terminated = 0.0, time.perf_counter(), False
         for noise in exploration.noise:
             start = time.perf_counter()
@@ -64,7 +65,7 @@ class External:
             rewards.append(float(reward))
             for key, value in info.items():
                 if np.ndim(value) == 0 and isinstance(value, int | float | np.number):
-                    readings.setdefault(key, []).append(float(value))
+                    readings.setdefault(key, {})[len(rewards) - 1] = float(value)
             if terminated or truncated:
                 break
         if not (np.isfinite(rewards).all() and np.isfinite(observations).all()):
@@ -77,15 +78,15 @@ class External:
             np.stack(actions),
             np.array(log_probs),
             np.array(rewards),
-            {key: np.array(values) for key, values in readings.items() if len(values) == len(rewards)},
+            {key: np.array([at.get(t, np.nan) for t in range(len(rewards))]) for key, at in readings.items()},
             bool(terminated),
             time.perf_counter() - begin - policy_seconds,
             policy_seconds,
         )
 
     def summary(self, episode: Episode) -> dict[str, float]:
-        """Return the mean of each scalar that `info` had at every action."""
-        return {name: float(series.mean()) for name, series in episode.readings.items()}
+        """Return the mean of each scalar of `info`, over the actions that had it, as info_<name>."""
+        return {f"info_{name}": float(np.nanmean(series)) for name, series in sorted(episode.readings.items())}
 
     def expected_seconds(self, lanes: int) -> float | None:
         return None
@@ -95,27 +96,36 @@ def _flat(observation) -> np.ndarray:
     return np.asarray(observation, np.float32).reshape(-1)
 
 
-def open_simulation(name: str, horizon: int | None = None) -> External:
+def open_simulation(name: str, horizon: int, folder: str) -> External:
     """Return the simulation of an environment's name, after a look at it; ValueError when it cannot be collected.
 
-    horizon: needed when the environment is registered without a limit of its own.
+    horizon: most actions of an episode, where the environment was not registered with a limit of its own.
     """
-    environment = _environment(name, os.getcwd())
-    for kind, space in (("observation", environment.observation_space), ("action", environment.action_space)):
-        if not isinstance(space, Box):
-            raise ValueError(f"env {name!r}: got the {kind} space {space}, wanted a Box; wrap it in one")
-    limit = environment.spec.max_episode_steps if environment.spec is not None else None
-    limits = [steps for steps in (limit, horizon) if steps is not None]
-    if not limits:
-        raise ValueError(
-            f"env {name!r}: it has no limit of steps; give one with --actions-per-episode, or register it with "
-            "max_episode_steps"
-        )
-    return External(name, min(limits))
+    environment = _make(name, folder)
+    try:
+        flat = []
+        for kind, space in (("observation", environment.observation_space), ("action", environment.action_space)):
+            if not isinstance(space, Box):
+                raise ValueError(f"env {name!r}: got the {kind} space {space}, wanted a Box; wrap it in one")
+            flat.append(Box(_flat(space.low), _flat(space.high)))
+        limit = environment.spec.max_episode_steps if environment.spec is not None else None
+        return External(name, limit or horizon, folder, *flat)
+    finally:
+        environment.close()
 
 
-@lru_cache(maxsize=1)
-def _environment(name: str, folder: str) -> gymnasium.Env:
+_here = threading.local()
+"""The environment of this thread, and its name."""
+
+
+def _close() -> None:
+    """Close this thread's environment, if it has one."""
+    environment, _here.environment, _here.key = getattr(_here, "environment", None), None, None
+    if environment is not None:
+        environment.close()
+
+
+def _make(name: str, folder: str) -> gymnasium.Env:
     if folder not in sys.path:
         sys.path.insert(0, folder)
     module, colon, factory = name.partition(":")

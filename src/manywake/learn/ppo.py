@@ -170,7 +170,7 @@ class EpisodicPPO(PPO):
             self.ep_info_buffer.append({"r": float(episode.rewards.sum()), "l": len(episode.rewards)})
         whole = [self.collector.simulation.summary(e) for e in episodes if not e.terminated]
         for name in whole[0] if whole else ():
-            self.logger.record(f"episode/{name}", np.mean([numbers[name] for numbers in whole]))
+            self.logger.record(f"episode/{name}", np.mean([numbers.get(name, np.nan) for numbers in whole]))
         self.logger.record("episode/terminated", len(episodes) - len(whole))
         self.logger.record("train/clipped_before", self.clipped_before)
         callback.update_locals(locals())

@@ -20,6 +20,7 @@ class Ray:
         try:
             import ray
             from ray import exceptions
+            from ray._private import ray_constants
         except ImportError as error:
             raise RuntimeError(
                 f"engine: ray cannot be loaded ({error}); install it with: pip install 'manywake[ray]'"
@@ -28,6 +29,8 @@ class Ray:
         self._most, self._cpus = slots, cpus
         self._mine = not ray.is_initialized()
         if self._mine and address is None:
+            # else Ray takes the loopback address to stand for the machine's own; no public option says otherwise
+            ray_constants.ENABLE_RAY_CLUSTER = False
             ray.init(
                 num_cpus=max(1, round(slots * cpus)),
                 include_dashboard=False,

@@ -54,6 +54,7 @@ class Run:
             Collection(**data["collection"]),
             data["seed"],
             data["env"],
+            data["env_folder"],
         )
 
     @property
@@ -65,7 +66,7 @@ class Run:
         """Return what the run played, from the operators and the baseline it keeps."""
         settings = self.settings
         if settings.env is not None:
-            return external.open_simulation(settings.env, settings.task.actions_per_episode)
+            return external.open_simulation(settings.env, settings.task.actions_per_episode, settings.env_folder)
         base = baseline.load(self.folder / "baseline.npz")
         ops = operators.load(self.folder / "operators.npz", settings.case, base.mesh)
         return JetFlows(ops, base, settings.task)
@@ -193,10 +194,12 @@ def held(folder: Path) -> Iterator[None]:
 
 
 def append(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Append rows to a table, with its header if it is new."""
-    with open(path, "a", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        if file.tell() == 0:
+    """Append rows to a table, with its header if it is new; its first row's columns are the table's."""
+    with open(path, "a+", newline="") as file:
+        file.seek(0)
+        header = next(csv.reader(file), None)
+        writer = csv.DictWriter(file, header or list(rows[0]), restval="nan", extrasaction="ignore")
+        if header is None:
             writer.writeheader()
         writer.writerows(rows)
 

@@ -109,7 +109,8 @@ class Settings:
     """All that decides a run's result, and how it is come by.
 
     env: another simulation, `module:factory` or an id registered with Gymnasium, in place of case and task, of which
-    only actions_per_episode is then used.
+    only actions_per_episode is then used, unless the environment has a limit of its own. env_folder: where its module
+    is looked for.
     """
 
     case: Case
@@ -118,3 +119,4 @@ class Settings:
     collection: Collection
     seed: int
     env: str | None = None
+    env_folder: str = "."

@@ -216,7 +216,7 @@ def train(
             operators.save(ops, folder / "operators.npz")
             described |= {"baseline": base.digest(), "operators": ops.digest}
         else:
-            simulation = external.open_simulation(settings.env, settings.task.actions_per_episode)
+            simulation = external.open_simulation(settings.env, settings.task.actions_per_episode, settings.env_folder)
         collector = _collector(settings, simulation, engine, layout)
         model = ppo.build(settings.learning, collector)
         _check_space(folder, model)
