@@ -12,7 +12,7 @@ from manywake.learn.rollout import JetFlows
 
 def constant(action: float) -> Policy:
     """A policy that always takes one action."""
-    layers = ((np.zeros((1, 151)), np.array([action])),)
+    layers = ((np.zeros((1, 151), np.float32), np.array([action], np.float32)),)
     return Policy(0, np.zeros(151), np.ones(151), layers, np.zeros(1), np.ones(1))
 
 

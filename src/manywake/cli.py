@@ -4,6 +4,7 @@ Strings become objects here.
 """
 
 import dataclasses
+import importlib
 import json
 import os
 import signal
@@ -394,22 +395,24 @@ class ReplayCommand:
 
 @dataclass(frozen=True)
 class Bench:
-    """Measure: step = milliseconds per flow and time step, forces, probes and control law included."""
+    """Measure, with the scripts in benchmarks/.
 
-    what: Annotated[Literal["step"], tyro.conf.Positional]
+    step: milliseconds per flow and time step, forces, probes and control law included. scaling: speed-up of collection
+    with the number of environments (half an hour, mostly asleep).
+    """
+
+    what: Annotated[Literal["step", "scaling"], tyro.conf.Positional]
     lanes: tuple[int, ...] = (1, 8, 16, 32)
-    """Batch widths to measure."""
+    """Batch widths that step measures."""
     json: Json = False
 
     def run(self) -> int:
-        script = Path(__file__).parents[2] / "benchmarks" / f"{self.what}.py"
-        if not script.exists():
-            raise ValueError(f"bench: {script} is not there; benchmarks are of the source checkout, not of the package")
-        import runpy
-
-        measure = runpy.run_path(str(script))["measure"]
-        numbers = measure(self.lanes)
-        _print(numbers, self.json)
+        folder = Path(__file__).parents[2] / "benchmarks"
+        if not folder.exists():
+            raise ValueError(f"bench: {folder} is not there; benchmarks are of the source checkout, not of the package")
+        sys.path.insert(0, str(folder))
+        script = importlib.import_module(self.what)
+        _print(script.measure(self.lanes) if self.what == "step" else script.measure(), self.json)
         return 0
 
 

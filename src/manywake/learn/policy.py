@@ -21,7 +21,8 @@ class Policy:
     """Snapshot of a Gaussian policy with ReLU layers.
 
     version: how many updates made it. mean, deviation: (values,) of the observation normaliser. layers: pairs of
-    weights (out, in) and biases (out,), all double; the last gives the mean action. log_std, std: (actions,).
+    weights (out, in) and biases (out,), single precision as the learner has them; the last gives the mean action; sums
+    are double. log_std, std: (actions,).
     """
 
     version: int
@@ -43,10 +44,10 @@ def _dense(weight, bias, x, floor, out):
 
 
 def write(policy: Policy, path: Path) -> None:
-    """Write a policy, whole or not at all; its weights are single precision, as the learner has them."""
+    """Write a policy, whole or not at all."""
     layers: dict[str, Any] = {}
     for number, (weight, bias) in enumerate(policy.layers):
-        layers |= {f"weight{number}": weight.astype(np.float32), f"bias{number}": bias.astype(np.float32)}
+        layers |= {f"weight{number}": weight, f"bias{number}": bias}
     disk.write(
         path,
         lambda file: np.savez(
@@ -65,7 +66,7 @@ def read(path: Path) -> Policy:
     """Read what `write` wrote."""
     with np.load(path, allow_pickle=False) as data:
         count = sum(name.startswith("weight") for name in data.files)
-        layers = tuple((data[f"weight{k}"].astype(float), data[f"bias{k}"].astype(float)) for k in range(count))
+        layers = tuple((data[f"weight{k}"], data[f"bias{k}"]) for k in range(count))
         return Policy(int(data["version"]), data["mean"], data["deviation"], layers, data["log_std"], data["std"])
 
 

@@ -242,10 +242,10 @@ def snapshot(model: PPO) -> Policy:
 
 def from_state(state: dict[str, torch.Tensor], version: int = 0) -> Policy:
     """Return the policy as plain arrays, from the tensors of `policy.pth` in a checkpoint."""
-    values = {name: tensor.detach().cpu().numpy().astype(np.float64) for name, tensor in state.items()}
+    values = {name: tensor.detach().cpu().numpy().copy() for name, tensor in state.items()}
     hidden = [name for name in values if name.startswith("mlp_extractor.policy_net") and name.endswith(".weight")]
     layers = [name.removesuffix(".weight") for name in [*hidden, "action_net.weight"]]
-    log_std = values["log_std"]
+    log_std = values["log_std"].astype(np.float64)
     return Policy(
         version,
         values["features_extractor.mean"],

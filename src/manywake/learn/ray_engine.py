@@ -32,6 +32,7 @@ class Ray:
             # else Ray takes the loopback address to stand for the machine's own; no public option says otherwise
             ray_constants.ENABLE_RAY_CLUSTER = False
             ray.init(
+                address="local",
                 num_cpus=max(1, round(slots * cpus)),
                 include_dashboard=False,
                 _node_ip_address="127.0.0.1",
