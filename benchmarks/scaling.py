@@ -75,7 +75,7 @@ def policy(version: int) -> Policy:
 
 
 def collected(environments: int, unsynced: bool, updates: int, spread: float, learner: float, seed: int) -> dict:
-    """Collect `updates` updates with a learner that sleeps `learner` seconds; return seconds an episode and overhead."""
+    """Collect `updates` updates with a learner that sleeps `learner` seconds; return seconds an episode and latency."""
     total = updates * PERIOD
     seconds = schedule.durations(seed, total, SECONDS, spread)
     plan = None if unsynced else schedule.synced(seconds, environments, PERIOD, learner)

@@ -1,6 +1,6 @@
 """Manywake: deep reinforcement learning of active flow control, on many simulations at once.
 
-Reading order: flow (case, simd, kernels, mesh, space, operators, steady, stepper, sensors, batch, baseline, exact,
+Reading order: flow (case, disk, simd, kernels, mesh, space, operators, steady, stepper, sensors, batch, baseline, exact,
 validate), env (task, env), learn (policy, rollout, engine, collect, settings, ppo, runs, evaluate), plots, cli.
 Importing this package registers `manywake/CylinderJets-v0` with Gymnasium.
 
