@@ -109,6 +109,11 @@ def test_a_killed_worker_is_told_and_replaced_and_harms_no_other(processes):
     assert os.getpid() not in workers
 
 
+def test_a_worker_that_ends_of_itself_is_told_too(processes):
+    with pytest.raises(WorkerDied, match="exit code 0"):
+        processes.submit(os._exit, 0).result(60)
+
+
 def test_an_idle_worker_that_was_killed_is_replaced(processes):
     victim = processes.submit(pid).result(60)
     os.kill(victim, signal.SIGKILL)

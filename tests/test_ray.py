@@ -105,6 +105,12 @@ def test_a_node_that_vanishes_in_mid_training_costs_no_bit(cluster):
     assert engine.slots == 2
 
 
+def test_time_in_the_queue_is_not_the_tasks(engine):
+    futures = [engine.submit(time.sleep, 0.6, timeout=1.5) for _ in range(16)]
+    for future in futures:
+        assert future.result(60) is None  # the last of them waited for longer than it may take
+
+
 def test_an_address_that_nobody_answers_is_an_error():
     with pytest.raises(ValueError, match="address: .* with engine processes, wanted it with --engine ray"):
         Collection(address="auto")

@@ -3,7 +3,7 @@
 import os
 import signal
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +50,8 @@ class Toy:
         for exploration in explorations:
             self._fail(exploration.index)
         time.sleep(self.seconds)
-        return [self._play(policy, exploration) for exploration in explorations]
+        share = self.seconds / len(explorations)
+        return [replace(self._play(policy, exploration), flow_seconds=share) for exploration in explorations]
 
     def _fail(self, index: int) -> None:
         fault = dict(self.faults).get(index)

@@ -1,7 +1,8 @@
 """Manywake: deep reinforcement learning of active flow control, on many simulations at once.
 
-Reading order: flow (case, disk, simd, kernels, mesh, space, operators, steady, stepper, sensors, batch, baseline, exact,
-validate), env (task, env), learn (policy, rollout, engine, collect, settings, ppo, runs, evaluate), plots, cli.
+Reading order: flow (case, disk, simd, kernels, mesh, space, operators, steady, stepper, sensors, batch, baseline,
+exact, validate), env (task, env), learn (policy, rollout, external, schedule, engine, ray_engine, collect, settings,
+ppo, runs, train, evaluate), plots, cli.
 Importing this package registers `manywake/CylinderJets-v0` with Gymnasium.
 
 Axis letters: n velocity node, m pressure node, e element, q quadrature point, k local node, B flow, T action.

@@ -175,9 +175,11 @@ def _evaluate(folder: Path, checkpoint: str, workers: int) -> dict:
     if not isinstance(simulation, JetFlows):
         raise ValueError(f"evaluate: {folder} is of {run.settings.env!r}; wanted a run of a cylinder's flow")
     engine = Threads(workers)
-    with console.status("evaluating: deterministic policy, 4 episode lengths, 8 phases of shedding"):
-        result = evaluate.evaluate(simulation, run.policy(checkpoint), engine)
-    engine.close()
+    try:
+        with console.status("evaluating: deterministic policy, 4 episode lengths, 8 phases of shedding"):
+            result = evaluate.evaluate(simulation, run.policy(checkpoint), engine)
+    finally:
+        engine.close()
     numbers = result.summary()
     tail = "" if checkpoint == "last" else f"-{checkpoint}"
     runs.write_json(folder / f"evaluation{tail}.json", numbers)
@@ -241,7 +243,10 @@ def _watched(work, folder: Path, total: int, done: int, as_json: bool, evaluated
             trained = work(show)
         except KeyboardInterrupt:
             progress.stop()
-            console.print(f"stopped; what was learnt is kept, go on with: manywake resume {folder}")
+            if (folder / "settings.json").exists():
+                console.print(f"stopped; what was learnt is kept, go on with: manywake resume {folder}")
+            else:
+                console.print("stopped before there was anything to keep")
             return 130
     numbers = dataclasses.asdict(trained)
     runs.write_json(folder / "training.json", numbers)
@@ -265,7 +270,7 @@ def _watched(work, folder: Path, total: int, done: int, as_json: bool, evaluated
 def _numbers(episodes, failures: int) -> str:
     whole = [episode for episode in episodes if not episode.terminated] or episodes
     lost = f" lost {failures}" if failures else ""
-    if "c_d" not in whole[0].readings:
+    if not all({"c_d", "c_l"} <= set(episode.readings) for episode in whole):
         return f"reward {sum(e.rewards.sum() for e in whole) / len(whole):.4g}{lost}"
     means = [sum(e.readings[name][len(e.rewards) // 2 :].mean() for e in whole) / len(whole) for name in ("c_d", "c_l")]
     return f"C_D {means[0]:.3f} C_L {means[1]:+.3f}{lost}"
@@ -339,6 +344,8 @@ class Resume:
     """Processes, threads or tasks at once."""
     lanes: int | None = None
     """Environments that a worker advances side by side."""
+    time_limit: float | None = None
+    """Seconds that a block may take until its worker is replaced."""
     json: Json = False
 
     def run(self) -> int:
@@ -346,8 +353,11 @@ class Resume:
 
         run = runs.Run(self.run_folder)
         settings = run.settings
-        changes = {name: getattr(self, name) for name in ("engine", "address") if getattr(self, name) is not None}
-        how = dataclasses.replace(settings.collection, **changes)
+        how = settings.collection
+        engine_name = self.engine or how.engine
+        address = self.address or (how.address if engine_name == "ray" else None)
+        limit = self.time_limit or how.time_limit
+        how = dataclasses.replace(how, engine=engine_name, address=address, time_limit=limit)
         moved = self.workers is not None or self.lanes is not None
         how = dataclasses.replace(
             how,
@@ -360,7 +370,7 @@ class Resume:
         try:
             done = runs.newest(run)[0].version * settings.learning.update_period
             return _watched(
-                lambda show: train.resume(self.run_folder, engine, plan, show),
+                lambda show: train.resume(self.run_folder, engine, plan, show, limit),
                 self.run_folder,
                 settings.learning.episodes,
                 done,
@@ -426,10 +436,14 @@ def _print(numbers: dict, as_json: bool) -> None:
     Console().print(table)
 
 
+def _interrupt(number, frame) -> None:
+    raise KeyboardInterrupt
+
+
 def main() -> None:
     """Run the command line."""
     # a batch system's polite request to stop is treated as Ctrl-C
-    signal.signal(signal.SIGTERM, lambda number, frame: signal.raise_signal(signal.SIGINT))
+    signal.signal(signal.SIGTERM, _interrupt)
     # the protocol chooses the defaults that the other options then override, so it is looked at first
     words = [part for word in sys.argv[1:] for part in word.split("=", 1)]
     named = dict(zip(words, words[1:], strict=False)).get("--protocol", "default")
@@ -451,7 +465,7 @@ def main() -> None:
     except KeyboardInterrupt:
         console.print("stopped")
         sys.exit(130)
-    except (ValueError, RuntimeError) as error:
+    except (ValueError, RuntimeError, OSError) as error:
         console.print(f"[red]error:[/] {error}", highlight=False, soft_wrap=True)
         sys.exit(2)
 

@@ -23,6 +23,8 @@ PATIENCE = 10.0
 """A block is given this many times as long as is expected..."""
 ALLOWANCE = 120.0
 """...and this many seconds more, which cover compiling on a machine that never did."""
+UNKNOWN = 3600.0
+"""Seconds a block is given while nobody knows how long one takes."""
 
 
 @dataclass(frozen=True)
@@ -94,13 +96,15 @@ class EpisodeFailed(RuntimeError):
 class _Block:
     """Episodes that start and end together under one policy, as `policy` is shared with the workers.
 
-    group: the episodes the block was cut from, should it have been lost and split.
+    group: the episodes the block was cut from, should it have been lost and split. bound: whether its version stands;
+    else it takes the newest when it starts.
     """
 
     indices: tuple[int, ...]
     version: int
     policy: Any
     group: tuple[int, ...]
+    bound: bool
     begun: float = 0.0
 
 
@@ -115,7 +119,7 @@ class Collector:
 
     plan: which episode is played by which version and used when (`schedule`); None is the unsynced schedule on the
     real clock, where it shows. period: T_L, episodes of an update. total: of the whole run. time_limit: seconds a block
-    may take; None works it out from block_seconds, what a full block takes, or else from the first that comes.
+    may take; None works it out from block_seconds, what a full block takes, and from those that come.
     seen, failed: called with each block that has come or was lost.
     """
 
@@ -136,6 +140,7 @@ class Collector:
     _attempts: dict[int, int] = field(default_factory=dict)
     _next: int = 0
     _newest: tuple[int, Any] | None = None
+    _begun: dict[int, int] = field(default_factory=dict)
     _outstanding: dict[tuple[int, ...], int] = field(default_factory=dict)
     _error: BaseException | None = None
 
@@ -152,16 +157,18 @@ class Collector:
         with self._change:
             self._newest = policy.version, self.engine.share(policy)
             if self.plan is not None:
-                self._start(np.flatnonzero(self.plan.version == policy.version).tolist(), *self._newest)
+                self._start(np.flatnonzero(self.plan.version == policy.version).tolist(), *self._newest, bound=True)
             elif self._next == 0:
-                self._start(self._indices(self.layout.environments), *self._newest)
+                self._start(self._indices(self.layout.environments), *self._newest, bound=False)
             self._fill()
-            while (wanted := self._wanted(policy.version)) is None:
-                if self._error is not None:
-                    raise self._error
+            while self._error is None and (wanted := self._wanted(policy.version)) is None:
                 self._change.wait()
+            if self._error is not None:
+                raise self._error
             now = time.perf_counter()
-            episodes = [self._arrived.pop(index) for index in sorted(wanted)]
+            episodes = [self._arrived.pop(index) for index in sorted(wanted or [])]
+            for episode, _ in episodes:
+                del self._begun[episode.index]
         return [replace(episode, waiting_seconds=now - came) for episode, came in episodes]
 
     def resume(self, version: int, pending: Iterable[tuple[int, int]], policy_of: Callable[[int], Policy]) -> None:
@@ -174,31 +181,29 @@ class Collector:
             by_version.setdefault(played_by, []).append(index)
         with self._change:
             for played_by, indices in sorted(by_version.items()):
-                self._start(sorted(indices), played_by, self.engine.share(policy_of(played_by)))
+                self._start(sorted(indices), played_by, self.engine.share(policy_of(played_by)), bound=True)
             begun = [index for indices in by_version.values() for index in indices]
             self._next = max([version * self.period - 1, *begun]) + 1
 
     def pending(self) -> list[tuple[int, int]]:
         """Return (episode, version) of all that were begun and are not used yet."""
         with self._change:
-            blocks = [*self._queue, *self._flying.values()]
-            begun = [(index, block.version) for block in blocks for index in block.indices]
-            begun += [(index, episode.policy_version) for index, (episode, _) in self._arrived.items()]
-        return sorted(begun)
+            return sorted(self._begun.items())
 
     def _indices(self, count: int) -> list[int]:
         indices = list(range(self._next, min(self._next + count, self.total)))
         self._next += len(indices)
         return indices
 
-    def _start(self, indices: list[int], version: int, policy: Any) -> None:
+    def _start(self, indices: list[int], version: int, policy: Any, bound: bool) -> None:
         """Queue episodes in rounds of the environments, each cut into blocks of lanes."""
+        self._begun |= dict.fromkeys(indices, version)
         environments, lanes = self.layout.environments, self.layout.lanes
         for first in range(0, len(indices), environments):
             in_round = indices[first : first + environments]
             for k in range(0, len(in_round), lanes):
                 block = tuple(in_round[k : k + lanes])
-                self._queue.append(_Block(block, version, policy, block))
+                self._queue.append(_Block(block, version, policy, block, bound))
                 self._outstanding[block] = len(block)
 
     def _wanted(self, version: int) -> list[int] | None:
@@ -211,7 +216,11 @@ class Collector:
 
     def _fill(self) -> None:
         while self._queue and self._error is None and len(self._flying) < min(self.engine.slots, self.layout.workers):
-            block = replace(self._queue.popleft(), begun=time.perf_counter())
+            block = self._queue.popleft()
+            if not block.bound and self._newest is not None:
+                block = replace(block, version=self._newest[0], policy=self._newest[1])
+                self._begun |= dict.fromkeys(block.indices, block.version)
+            block = replace(block, begun=time.perf_counter(), bound=True)
             horizon = self.simulation.horizon
             explorations = [explore(self.run_seed, index, horizon, self._actions) for index in block.indices]
             limit = self._limit()
@@ -220,9 +229,9 @@ class Collector:
             future.add_done_callback(self._done)
 
     def _limit(self) -> float | None:
-        if self.time_limit is not None or self.block_seconds is None:
+        if self.time_limit is not None:
             return self.time_limit
-        return ALLOWANCE + PATIENCE * self.block_seconds
+        return UNKNOWN if self.block_seconds is None else ALLOWANCE + PATIENCE * self.block_seconds
 
     def _done(self, future: Future) -> None:
         """Take what an engine's thread brings; every way out of here leaves the collector able to go on or to stop."""
@@ -243,8 +252,10 @@ class Collector:
         now = time.perf_counter()
         busy = sum(episode.flow_seconds + episode.policy_seconds for episode in episodes)
         transport = max(now - block.begun - busy, 0.0) / len(episodes)
-        if self.block_seconds is None:
-            self.block_seconds = (now - block.begun) * self.layout.lanes / len(episodes)
+        # as long as it would have been with all lanes and to the horizon: the first to come may be the shortest
+        longest = max(len(episode.rewards) for episode in episodes)
+        full = (now - block.begun) * self.layout.lanes / len(episodes) * self.simulation.horizon / longest
+        self.block_seconds = max(self.block_seconds or 0.0, full)
         episodes = [replace(episode, transport_seconds=transport) for episode in episodes]
         for episode in episodes:
             self._arrived[episode.index] = episode, now
@@ -253,7 +264,7 @@ class Collector:
             del self._outstanding[block.group]
             if self.plan is None and self._newest is not None:
                 free = self.layout.environments - sum(self._outstanding.values())
-                self._start(self._indices(min(len(block.group), free)), *self._newest)
+                self._start(self._indices(max(free, 0)), *self._newest, bound=False)
         self.seen(episodes)
 
     def _lost(self, block: _Block, error: BaseException) -> None:

@@ -13,7 +13,7 @@ import threading
 import weakref
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from functools import lru_cache
+from functools import lru_cache, partial
 from multiprocessing import connection, forkserver
 from pathlib import Path
 from typing import Any, Protocol
@@ -89,7 +89,11 @@ class Processes:
             pool.schedule(_nothing)  # a pool starts its worker with its first task: let all of them start together
 
     def _pool(self) -> ProcessPool:
-        return ProcessPool(1, initializer=_end_with_parent, initargs=[self._folder], context=self._context)
+        pool = ProcessPool(1, initializer=_end_with_parent, initargs=[self._folder], context=self._context)
+        workers = pool._pool_manager.worker_manager
+        # pebble takes a worker that ends with code 0 for one that was told to; ours never are
+        workers.inspect_workers = partial(_ended, workers.workers)  # type: ignore[method-assign]
+        return pool
 
     def share(self, value: Any) -> Any:
         handle, name = tempfile.mkstemp(dir=self._folder)
@@ -189,6 +193,12 @@ def _told_apart(error: BaseException | None) -> BaseException | None:
     if isinstance(error, TimeoutError) and error.args[:1] == ("Task timeout",):
         return TimedOut(f"no result within {error.args[1]:.0f} s")
     return error
+
+
+def _ended(workers: dict[int, Any]) -> tuple[tuple[int, int], ...]:
+    """Take the workers that have ended out of `workers`; return their process numbers and exit codes."""
+    ended = [process for process in tuple(workers.values()) if not process.is_alive()]
+    return tuple((process.pid, workers.pop(process.pid).exitcode) for process in ended)
 
 
 def _stop(pool: ProcessPool) -> None:

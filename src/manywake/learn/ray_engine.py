@@ -1,7 +1,11 @@
 """Ray: the same episodes on the machines of a cluster (the extra `manywake[ray]`)."""
 
+import faulthandler
 import logging
+import os
+import signal
 import threading
+import time
 from concurrent.futures import Future
 from typing import Any
 
@@ -27,6 +31,8 @@ class Ray:
             ) from error
         self._ray, self._exceptions = ray, exceptions
         self._most, self._cpus = slots, cpus
+        # Ray puts its own handler in the place of the trainer's
+        before = signal.getsignal(signal.SIGTERM) if threading.current_thread() is threading.main_thread() else None
         self._mine = not ray.is_initialized()
         if self._mine and address is None:
             # else Ray takes the loopback address to stand for the machine's own; no public option says otherwise
@@ -40,43 +46,40 @@ class Ray:
                 logging_level=logging.WARNING,
             )
         elif self._mine:
-            ray.init(address=address, log_to_driver=False, logging_level=logging.WARNING)
+            try:
+                ray.init(address=address, log_to_driver=False, logging_level=logging.WARNING)
+            except (ConnectionError, ValueError) as error:
+                raise RuntimeError(
+                    f"address: got {address!r}, where no Ray cluster answers ({error}); start one with: "
+                    "ray start --head, or leave --address out"
+                ) from error
+        if before is not None:
+            signal.signal(signal.SIGTERM, before)
         # no retries: a lost episode is made again by the collector, who counts it
-        self._call = ray.remote(call).options(num_cpus=cpus, max_retries=0)
+        self._call = ray.remote(_within).options(num_cpus=cpus, max_retries=0)
 
     @property
     def slots(self) -> int:
-        cores = self._ray.cluster_resources().get("CPU", 0.0)
-        return max(1, min(self._most, int(cores / self._cpus)))
+        cores = [node["Resources"].get("CPU", 0.0) for node in self._ray.nodes() if node["Alive"]]
+        return max(1, min(self._most, sum(int(count / self._cpus) for count in cores)))
 
     def share(self, value: Any) -> Any:
         return self._ray.put(value)
 
     def submit(self, fn, *args: Any, timeout: float | None = None) -> Future:
-        reference = self._call.remote(fn, *args)
+        reference = self._call.remote(timeout, fn, *args)
+        begun = time.monotonic()
         outer: Future = Future()
         outer.set_running_or_notify_cancel()
-        late = threading.Event()
-
-        def stop() -> None:
-            late.set()
-            self._ray.cancel(reference, force=True)
-
-        timer = threading.Timer(timeout, stop) if timeout is not None else None
-        if timer is not None:
-            timer.daemon = True
-            timer.start()
 
         def done(inner: Future) -> None:
-            if timer is not None:
-                timer.cancel()
             error = inner.exception()
             if error is None:
                 outer.set_result(inner.result())
-            elif late.is_set():
-                outer.set_exception(TimedOut(f"no result within {timeout:.0f} s"))
             elif isinstance(error, self._exceptions.RayTaskError):
                 outer.set_exception(error.cause or error)
+            elif timeout is not None and time.monotonic() - begun >= timeout:
+                outer.set_exception(TimedOut(f"no result within {timeout:.0f} s"))
             elif isinstance(error, self._exceptions.RayError):
                 outer.set_exception(WorkerDied(f"{type(error).__name__}: {str(error).splitlines()[0]}"))
             else:
@@ -88,3 +91,19 @@ class Ray:
     def close(self) -> None:
         if self._mine:
             self._ray.shutdown()
+
+
+def _within(timeout: float | None, fn, *args: Any) -> Any:
+    """Compute fn(*args) in a worker that ends itself when that takes longer than `timeout` seconds.
+
+    The clock starts with the task, however long that had to wait for a core, and needs no cooperation of fn.
+    """
+    if timeout is not None:
+        faulthandler.dump_traceback_later(timeout, exit=True, file=_NOWHERE)
+    try:
+        return call(fn, *args)
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+
+
+_NOWHERE = open(os.devnull, "w")  # noqa: SIM115 - the watchdog writes to it whenever it likes

@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import io
 import json
+import pickle
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -148,7 +149,7 @@ def checkpoint(run: Run, model: EpisodicPPO, progress: Progress) -> None:
 def newest(run: Run) -> tuple[Progress, dict[str, Any], dict[str, Any]]:
     """Return progress, weights and the optimiser's state of the newest checkpoint that is whole.
 
-    Tensors and plain data are read, no pickle. Raises ValueError when there is none.
+    Tensors and plain data are read, no code. Raises ValueError when there is none.
     """
     problems = []
     for name in ("last", "previous"):
@@ -160,7 +161,7 @@ def newest(run: Run) -> tuple[Progress, dict[str, Any], dict[str, Any]]:
                     raise zipfile.BadZipFile(f"{bad} is damaged")
                 data = json.loads(archive.read("manywake.json"))
                 weights, moments = _tensors(archive, "policy.pth"), _tensors(archive, "policy.optimizer.pth")
-        except (OSError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        except (OSError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, pickle.UnpicklingError) as error:
             problems.append(f"{path.name}: {error}")
             continue
         data["pending"] = [tuple(pair) for pair in data["pending"]]
@@ -171,6 +172,9 @@ def newest(run: Run) -> tuple[Progress, dict[str, Any], dict[str, Any]]:
 def restore(run: Run, model: EpisodicPPO) -> Progress:
     """Put the newest whole checkpoint into a model; return its progress."""
     progress, weights, moments = newest(run)
+    last = run.checkpoints / "last.zip"
+    if last.exists() and not zipfile.is_zipfile(last):
+        last.unlink()  # else the next checkpoint would put it in the place of the whole one
     model.policy.load_state_dict(weights)
     model.policy.optimizer.load_state_dict(moments)
     model.version = progress.version
@@ -195,9 +199,11 @@ def held(folder: Path) -> Iterator[None]:
 
 def append(path: Path, rows: list[dict[str, Any]]) -> None:
     """Append rows to a table, with its header if it is new; its first row's columns are the table's."""
-    with open(path, "a+", newline="") as file:
-        file.seek(0)
-        header = next(csv.reader(file), None)
+    header = None
+    if path.exists() and path.stat().st_size:
+        with open(path, newline="") as file:
+            header = next(csv.reader(file))
+    with open(path, "a", newline="") as file:
         writer = csv.DictWriter(file, header or list(rows[0]), restval="nan", extrasaction="ignore")
         if header is None:
             writer.writeheader()
@@ -212,19 +218,20 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def cut(path: Path, version: int) -> None:
-    """Drop the rows of a table that are of updates from `version` on; they will be made again."""
+def cut(path: Path, version: int | None) -> None:
+    """Drop the rows of a table that are of updates from `version` on, to be made again, and what was cut short."""
     if not path.exists():
         return
-    with open(path, newline="") as file:
-        reader = csv.reader(file)
-        header = next(reader)
-        at = header.index("update")
-        # the last row may have been cut short
-        kept = [row for row in reader if len(row) == len(header) and int(row[at]) < version]
-    text = io.StringIO()
-    csv.writer(text).writerows([header, *kept])
-    disk.write(path, lambda file: file.write(text.getvalue().encode()))
+    text = path.read_text()
+    lines = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1])))
+    if len(lines) < 2:
+        path.unlink()
+        return
+    header, *table = lines
+    kept = table if version is None else [row for row in table if int(row[header.index("update")]) < version]
+    out = io.StringIO()
+    csv.writer(out).writerows([header, *kept])
+    disk.write(path, lambda file: file.write(out.getvalue().encode()))
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:

@@ -4,7 +4,7 @@ import platform
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -60,7 +60,7 @@ class Watch:
         self.started = time.perf_counter() - progress.wall_s
         self.simulation = collector.simulation
         self.shares = Shares()
-        self.failures = 0
+        self.failures = len(runs.rows(run.folder / "failures.csv"))
         self._since = time.perf_counter()
         self._learning_since = self._since
         self.cd_uncontrolled = (
@@ -212,14 +212,15 @@ def train(
         if settings.env is None:
             ops, base = baseline.assembled(settings.case)
             simulation = JetFlows(ops, base, settings.task)
-            baseline.save(base, folder / "baseline.npz")
-            operators.save(ops, folder / "operators.npz")
             described |= {"baseline": base.digest(), "operators": ops.digest}
         else:
             simulation = external.open_simulation(settings.env, settings.task.actions_per_episode, settings.env_folder)
         collector = _collector(settings, simulation, engine, layout)
         model = ppo.build(settings.learning, collector)
         _check_space(folder, model)
+        if isinstance(simulation, JetFlows):
+            baseline.save(simulation.baseline, folder / "baseline.npz")
+            operators.save(simulation.operators, folder / "operators.npz")
         watch = Watch(run, settings, collector, Progress())
         watch.checkpoint(model)
         runs.write_json(folder / "settings.json", described)
@@ -231,16 +232,23 @@ def resume(
     engine: Engine,
     layout: collect.Layout,
     show: Show = lambda episodes, shares, failures: None,
+    time_limit: float | None = None,
 ) -> Trained:
-    """Go on from the newest checkpoint that is whole, to the same bits as a training that was never stopped."""
+    """Go on from the newest checkpoint that is whole, to the same bits as a training that was never stopped.
+
+    time_limit: seconds a block may take, in place of the run's own setting.
+    """
     run = Run(folder)
     settings = run.settings
+    if time_limit is not None:
+        settings = replace(settings, collection=replace(settings.collection, time_limit=time_limit))
     with runs.held(folder):
         collector = _collector(settings, run.simulation(), engine, layout)
         model = ppo.build(settings.learning, collector)
         progress = runs.restore(run, model)
         for name in ("episodes.csv", "updates.csv"):
             runs.cut(folder / name, progress.version)
+        runs.cut(folder / "failures.csv", None)
         if progress.version * settings.learning.update_period < settings.learning.episodes:
             collector.resume(progress.version, _pending(collector, progress), run.version)
         return _learn(Watch(run, settings, collector, progress), model, show)
@@ -293,7 +301,8 @@ def _learn(watch: Watch, model: EpisodicPPO, show) -> Trained:
         ) from error
     except OSError as error:
         raise RuntimeError(
-            f"run: cannot write {folder} ({error}); make room, then go on with: manywake resume {folder}"
+            f"run: cannot write {error.filename or folder} ({error}); make room, then go on with: "
+            f"manywake resume {folder}"
         ) from error
     finally:
         model.logger.close()
@@ -328,7 +337,9 @@ def replay(run: Run, index: int) -> Replay:
         "terminated": int(episode.terminated),
         **simulation.summary(episode),
     }
-    same = all(recorded[name] == str(value) for name, value in numbers.items()) if recorded else None
+    same = (
+        all(recorded[name] == str(value) for name, value in numbers.items() if name in recorded) if recorded else None
+    )
     return Replay(episode, numbers, recorded, same)
 
 
