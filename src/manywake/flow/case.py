@@ -65,7 +65,7 @@ class Resolution:
     far: float = 0.08
     """At the end of the channel."""
     jet_facets: int = 2
-    """Facets across a jet; two resolve its flux to 0.25 % before scaling, one to 4 %."""
+    """Facets across a jet; two resolve its flux to 0.22 % before scaling, one to 4 %."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class Case:
             raise ValueError(f"spin_up: got {self.spin_up:g}, wanted a positive time; the street needs about 12")
         for i, (x, y) in enumerate(self.probes):
             inside = self.x_range[0] <= x <= self.x_range[1] and self.y_range[0] <= y <= self.y_range[1]
-            # the polygon of equal area reaches a little past the circle
+            # a little off the circle, to which the arcs are parabolas
             if not inside or math.hypot(x, y) < 1.002 * self.radius:
                 where = "inside the cylinder" if inside else "outside the channel"
                 raise ValueError(
