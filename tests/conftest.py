@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from manywake.flow import baseline, case, operators
-from manywake.flow.case import Case
+from manywake.flow.case import BDF2, Case
 from manywake.flow.mesh import Mesh
 
 
@@ -24,7 +24,7 @@ def base(shipped):
     return shipped[1]
 
 
-TINY = Case("tiny", x_range=(-0.2, 0.5), probes=((0.1, 0.0), (0.2, 0.05)))
+TINY = Case("tiny", scheme=BDF2, time_step=5e-4, x_range=(-0.2, 0.5), probes=((0.1, 0.0), (0.2, 0.05)))
 
 
 def tiny_mesh(chosen: Case = TINY, layers: int = 4) -> Mesh:

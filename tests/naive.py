@@ -19,21 +19,45 @@ def dense(rows, columns, component=None):
     return matrix
 
 
-def convection_form(space, e):
-    """Return ((e . grad) e, v) for every P2 test function v, (n, 2): scikit-fem, quadrature of degree 6."""
-    basis = skfem.Basis(space.velocity.mesh, skfem.ElementTriP2(), intorder=6)
-    u, v = basis.interpolate(e[:, 0]), basis.interpolate(e[:, 1])
+def convection_form(space, e, mean):
+    """Return (((e - U) . grad) e, v) for every P2 test function v, (n, 2): scikit-fem, quadrature of degree 5.
+
+    That degree is exact on straight triangles; on curved ones its points are part of the definition.
+    """
+    basis = skfem.Basis(space.velocity.mesh, skfem.ElementTriP2(), intorder=5)
+    u, v, a, b = (basis.interpolate(f) for f in (*e.T, *(e - mean).T))
 
     def along(field):
-        form = skfem.LinearForm(lambda test, w: (w.u * w.f.grad[0] + w.v * w.f.grad[1]) * test)
-        return form.assemble(basis, u=u, v=v, f=field)
+        form = skfem.LinearForm(lambda test, w: (w.a * w.f.grad[0] + w.b * w.f.grad[1]) * test)
+        return form.assemble(basis, a=a, b=b, f=field)
 
     return np.stack([along(u), along(v)], axis=1)
 
 
-def convection(space, e, out):
+def advection(space, mean):
+    """Return ((U . grad) psi_k, psi_i) as a matrix: its columns are the convection of one node's function."""
+    basis = skfem.Basis(space.velocity.mesh, skfem.ElementTriP2(), intorder=5)
+    a, b = basis.interpolate(mean[:, 0]), basis.interpolate(mean[:, 1])
+    return skfem.BilinearForm(lambda u, v, w: (w.a * u.grad[0] + w.b * u.grad[1]) * v).assemble(basis, a=a, b=b)
+
+
+def damping(case, space):
+    """Return the stiffness for the viscosity of eq. 15."""
+    basis = skfem.Basis(space.velocity.mesh, skfem.ElementTriP2(), intorder=5)
+    viscosity = np.zeros(basis.dx.shape)
+    x, y = np.asarray(basis.global_coordinates())
+    for jet in case.jets:
+        angle, width = np.radians(jet.angle), np.radians(jet.width) * case.radius
+        peak = np.pi * 0.01 / (2 * width)
+        squared = (x - case.radius * np.cos(angle)) ** 2 + (y - case.radius * np.sin(angle)) ** 2
+        viscosity += case.scheme.damping * case.time_step * peak**2 * np.exp(-squared / (2 * width) ** 2)
+    form = skfem.BilinearForm(lambda u, v, w: w.nu * (u.grad[0] * v.grad[0] + u.grad[1] * v.grad[1]))
+    return form.assemble(basis, nu=viscosity)
+
+
+def convection(space, e, mean, out):
     """Subtract `convection_form` of every lane from out (n, 2, lanes)."""
-    return out - np.stack([convection_form(space, e[:, :, b]) for b in range(e.shape[-1])], axis=-1)
+    return out - np.stack([convection_form(space, e[:, :, b], mean) for b in range(e.shape[-1])], axis=-1)
 
 
 def blend(weights, u, u_old):
@@ -41,12 +65,15 @@ def blend(weights, u, u_old):
     return weights[0] * u + weights[1] * u_old
 
 
-def momentum_forward(R, w, G, p, L, y):
-    """Return y with its first rows replaced by L^-1 (y + R w + G p); G: pair of matrices, L: strict lower part."""
-    rows, y = len(R), y.copy()
+def momentum_forward(R, u, u_old, G, p, L, y):
+    """Return y with its first rows replaced by L^-1 (y + R0 u + R1 u_old + G p).
+
+    R, G: pairs of matrices, L: strict lower part.
+    """
+    rows, y = len(L), y.copy()
     for b in range(y.shape[-1]):
         for c in range(2):
-            right = y[:rows, c, b] + R @ w[:, c, b] + G[c] @ p[:, 0, b]
+            right = y[:rows, c, b] + R[0] @ u[:, c, b] + R[1] @ u_old[:, c, b] + G[c] @ p[:, 0, b]
             y[:rows, c, b] = solve_triangular(L + np.eye(rows), right, lower=True, unit_diagonal=True)
     return y
 
@@ -97,12 +124,12 @@ def fill(value, out):
     return out
 
 
-def step(case, space, start, jets, profiles, boundaries):
+def step(case, space, start, jets, profiles, boundaries, mean):
     """Advance one flow by one step in scikit-fem's order; return u, p, phi and (C_D, C_L).
 
     jets: (2,) flow rates. profiles: (2, n, 2) velocity of the jets at unit flow rate. boundaries: dict with the
     velocity nodes `fixed` and `body`, the inlet data `steady` (n, 2), the pressure nodes `pressure`, and `thrust`
-    (2, 2), the momentum flux of the jets at unit flow rate.
+    (2, 2), the momentum flux of the jets at unit flow rate. mean: (n, 2), zero where the scheme has none.
     """
     scheme, dt, nu = case.scheme, case.time_step, case.viscosity
     M, K = space.mass, space.stiffness
@@ -112,8 +139,9 @@ def step(case, space, start, jets, profiles, boundaries):
     w = blend(scheme.history, start.u, start.u_old)
     e = blend(scheme.extrapolation, start.u, start.u_old)
     p_star = start.p + scheme.pressure[0] * start.phi + scheme.pressure[1] * start.phi_old
-    C = convection_form(space, e)
-    A = a / dt * M + theta * nu * K
+    S = damping(case, space)
+    C = convection_form(space, e, mean) - S @ e
+    A = a / dt * M + theta * nu * K + advection(space, mean) + S
 
     u = boundaries["steady"] + np.einsum("j,jnc->nc", jets, profiles)
     fixed = boundaries["fixed"]

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from manywake.flow import kernels, operators, simd
+from manywake.flow import space as spaces
 from manywake.flow.kernels import CORNER, NODE, WEIGHT
 from manywake.flow.operators import Rows
 
@@ -69,8 +70,13 @@ def test_convection_is_the_form_that_scikit_fem_assembles(width, tiny):
     space = tiny.space
     rng = np.random.default_rng(2)
     (u, u_twin), (old, old_twin), (out, out_twin) = (lane_array(rng, (len(space.x), 2), width) for _ in range(3))
-    kernels.convection(space.nodes.astype(np.uint32), space.inverse, 1.7, u, -0.6, old, out)
-    close(simd.numbers(out), naive.convection(space, naive.blend((1.7, -0.6), u_twin, old_twin), out_twin))
+    mean = rng.normal(size=(len(space.x), 2))
+    straight = np.setdiff1d(np.arange(len(space.nodes)), space.curved)
+    for part, inverse in ((straight, space.inverse[straight, None]), (space.curved, space.curved_inverse)):
+        nodes = space.nodes[part]
+        wind = spaces.wind(inverse, NODE @ mean[nodes])
+        kernels.convection(nodes.astype(np.uint32), inverse, wind, 1.7, u, -0.6, old, out)
+    close(simd.numbers(out), naive.convection(space, naive.blend((1.7, -0.6), u_twin, old_twin), mean, out_twin))
 
 
 @widths
@@ -79,14 +85,13 @@ def test_convection_is_the_form_that_scikit_fem_assembles(width, tiny):
 def test_momentum_forward(width, seed, free, fixed, m):
     rng = np.random.default_rng(seed)
     n = free + fixed
-    R = naive.random_matrix(rng, free, n)
+    history, R = pair_of(rng, free, n)
     gradient, G = pair_of(rng, free, m)
     lower, L = triangle(rng, free, lower=True)
     shapes = ((n, 2), (n, 2), (m, 1), (n, 2))
     (u, u_twin), (old, old_twin), (p, p_twin), (y, y_twin) = (lane_array(rng, shape, width) for shape in shapes)
-    kernels.momentum_forward(*rows_of(R), 1.7, u, -0.6, old, *gradient, p, *lower, y)
-    w_twin = naive.blend((1.7, -0.6), u_twin, old_twin)
-    close(simd.numbers(y), naive.momentum_forward(R.toarray(), w_twin, G, p_twin, L, y_twin))
+    kernels.momentum_forward(*history, u, old, *gradient, p, *lower, y)
+    close(simd.numbers(y), naive.momentum_forward(R, u_twin, old_twin, G, p_twin, L, y_twin))
 
 
 @widths
@@ -175,8 +180,9 @@ def test_kernels_give_the_same_bits_for_every_width(tiny):
         simd.numbers(rates)[...] = jets[..., lanes]
         tables = tiny.tables
         kernels.add_scaled(tables.jet_lift_rows, tables.jet_lift[0], rates, 1, 0, y)
-        kernels.convection(tables.nodes, tables.inverse, 2.0, u, -1.0, old, y)
-        kernels.momentum_forward(*tables.history, 2.0, u, -0.5, old, *tables.gradient, phi, *tables.momentum.lower, y)
+        kernels.convection(tables.nodes, tables.inverse, tables.wind, 2.0, u, -1.0, old, y)
+        kernels.convection(tables.curved_nodes, tables.curved_inverse, tables.curved_wind, 2.0, u, -1.0, old, y)
+        kernels.momentum_forward(*tables.history, u, old, *tables.gradient, phi, *tables.momentum.lower, y)
         kernels.momentum_backward(*tables.momentum.upper, tables.momentum.inverse_diagonal, y)
         poisson = tables.poisson
         kernels.pressure_solve(*tables.divergence, y, *poisson.lower, *poisson.upper, poisson.inverse_diagonal, phi)

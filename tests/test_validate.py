@@ -5,19 +5,12 @@ import pytest
 from manywake.flow import validate
 from manywake.flow.validate import Check
 
-# Not shown yet: at 3.6 the averaging window of four units is too short for the beat of forcing and shedding, on both
-# meshes (docs/results.md). A strict list: whoever makes them pass takes them out.
-NOT_SHOWN_YET = {
-    "change of mean C_D, Q = 0.003 sin(2 pi 3.6 t)",
-    "change of rms C_L, Q = 0.003 sin(2 pi 3.6 t)",
-}
 
-
-def test_the_solver_meets_every_reference_but_those_not_shown_yet():
+def test_the_solver_meets_every_reference():
     checks = validate.run()
     assert len(checks) == 25
     failed = {check.name: (check.ours, check.reference) for check in checks if not check.passed}
-    assert set(failed) == NOT_SHOWN_YET, failed
+    assert not failed
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from platformdirs import user_cache_path
 
 from manywake.flow import disk, operators, sensors, steady
 from manywake.flow import mesh as meshes
+from manywake.flow import space as spaces
 from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.case import CASES, Case
 from manywake.flow.mesh import Mesh
@@ -24,6 +25,8 @@ from manywake.flow.sensors import Shedding
 
 FORMAT = 1
 MEAN_PERIODS = 12
+SETTLE = 4.0
+"""Time for which a street goes on once it is advected with its mean."""
 _CHUNK = 50
 _SAMPLE = 10
 _RECENT = 2.0
@@ -37,9 +40,9 @@ Progress = Callable[[str, float], None]
 class Baseline:
     """The uncontrolled flow of one case.
 
-    start: the developed Karman street at an upward crossing of C_L. mean: (n, 2) velocity averaged over whole periods.
-    shedding: its statistics. cd_steady, cl_steady: C_D and C_L of the steady base flow, the drag that remains with
-    all shedding gone. All fields are in scikit-fem's order.
+    start: the developed Karman street at an upward crossing of C_L. mean: (n, 2) velocity averaged over whole periods,
+    with which `Scheme.mean` advects. shedding: its statistics. cd_steady, cl_steady: C_D and C_L of the steady base
+    flow, the drag that remains with all shedding gone. All fields are in scikit-fem's order.
     """
 
     flow_digest: str
@@ -78,56 +81,79 @@ class Baseline:
 
 
 def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None) -> Baseline:
-    """Compute the baseline of a case: mesh it (unless given), spin up, average, and solve for the steady flow."""
+    """Compute the baseline of a case: mesh it (unless given), solve for the steady flow, spin up, and average.
+
+    A scheme that advects with the mean flow has the steady flow in its place until there is a street to average.
+    """
     report = progress or (lambda what, share: None)
     report("mesh", 0.0)
     mesh = meshes.build(case) if mesh is None else mesh
-    ops = operators.assemble(case, mesh)
-    flow = FlowBatch(ops, kicked(ops), 1)
-    steps = int(round(case.spin_up / case.time_step))
-    done, c_l = 0, np.zeros(0)
-    while done < steps:
-        c_l = np.concatenate([c_l, _run(flow, _CHUNK)[:, 1]])[-int(_RECENT / case.time_step) :]
-        done += _CHUNK
-        report("spin-up", done / steps)
-    # on to the next upward crossing of the middle of C_L, step by step: the start state has a defined phase
-    level = 0.5 * (c_l.max() + c_l.min())
-    previous = c_l[-1]
-    for _ in range(int(5 * _RECENT / case.time_step)):
-        now = _run(flow, 1)[0, 1]
-        if previous < level <= now:
-            break
-        previous = now
-    else:
-        raise RuntimeError(f"baseline: C_L of case {case.name!r} does not oscillate; is the flow steady at this Re?")
-    start = flow.state(0)
-
-    estimate = sensors.shedding(c_l, c_l, case.time_step).period
-    wanted = int(round(MEAN_PERIODS * estimate / case.time_step / _SAMPLE)) * _SAMPLE
-    total, samples, series = np.zeros_like(start.u), 0, []
-    for k in range(0, wanted + 2 * _SAMPLE, _SAMPLE):
-        series.append(_run(flow, _SAMPLE))
-        if k < wanted:
-            total += flow.state(0).u
-            samples += 1
-        report("mean flow", k / wanted)
-    record = np.concatenate(series)
     report("steady flow", 0.0)
-    base = steady.solve(case, ops.space)
-    recipe = (
-        f"format {FORMAT}; kicked rest, over {done} steps of {case.time_step:g} ({case.scheme.name}), stopped at an "
-        f"upward crossing of C_L; mean over {MEAN_PERIODS} periods, every {_SAMPLE}th step; steady flow by Newton"
-    )
+    base = steady.solve(case, spaces.build(mesh))
+    ops = operators.assemble(case, mesh, base.u)
+    flow = FlowBatch(ops, kicked(ops), 1)
+    c_l = _develop(flow, case.spin_up, report, "spin-up")
+    recipe = f"format {FORMAT}; kicked rest, over {case.spin_up:g} in steps of {case.time_step:g} ({case.scheme.name})"
+    advecting = None
+    if case.scheme.mean:
+        advecting, _ = _average(flow, c_l, report, "mean flow")
+        flow = FlowBatch(operators.assemble(case, mesh, advecting), flow.state(0), 1)
+        c_l = _develop(flow, SETTLE, report, "spin-up about the mean")
+        recipe += f" about the steady flow, mean over {MEAN_PERIODS} periods, over {SETTLE:g} more about that mean"
+    _to_crossing(flow, c_l)
+    start = flow.state(0)
+    mean, record = _average(flow, c_l, report, "mean flow" if advecting is None else "statistics")
+    recipe += f", stopped at an upward crossing of C_L; means sample every {_SAMPLE}th step; steady flow by Newton"
     return Baseline(
         case.flow_digest(),
         mesh,
         start,
-        total / samples,
+        mean if advecting is None else advecting,
         sensors.shedding(record[:, 0], record[:, 1], case.time_step),
         base.c_d,
         base.c_l,
         recipe,
     )
+
+
+def _develop(flow: FlowBatch, duration: float, report: Progress, what: str) -> np.ndarray:
+    """Advance an uncontrolled flow; return its C_L over the last `_RECENT`."""
+    time_step = flow.ops.case.time_step
+    steps = int(round(duration / time_step))
+    done, c_l = 0, np.zeros(0)
+    while done < steps:
+        c_l = np.concatenate([c_l, _run(flow, _CHUNK)[:, 1]])[-int(_RECENT / time_step) :]
+        done += _CHUNK
+        report(what, min(done / steps, 1.0))
+    return c_l
+
+
+def _to_crossing(flow: FlowBatch, c_l: np.ndarray) -> None:
+    """Advance to the next upward crossing of the middle of C_L, step by step: a state of defined phase."""
+    level = 0.5 * (c_l.max() + c_l.min())
+    previous = c_l[-1]
+    for _ in range(int(5 * _RECENT / flow.ops.case.time_step)):
+        now = _run(flow, 1)[0, 1]
+        if previous < level <= now:
+            return
+        previous = now
+    name = flow.ops.case.name
+    raise RuntimeError(f"baseline: C_L of case {name!r} does not oscillate; is the flow steady at this Re?")
+
+
+def _average(flow: FlowBatch, c_l: np.ndarray, report: Progress, what: str) -> tuple[np.ndarray, np.ndarray]:
+    """Advance over MEAN_PERIODS; return the mean velocity (n, 2), and C_D and C_L (steps, 2) of a little more."""
+    time_step = flow.ops.case.time_step
+    period = sensors.shedding(c_l, c_l, time_step).period
+    wanted = int(round(MEAN_PERIODS * period / time_step / _SAMPLE)) * _SAMPLE
+    total, samples, series = np.zeros((len(flow.ops.velocity_order), 2)), 0, []
+    for k in range(0, wanted + 2 * _SAMPLE, _SAMPLE):
+        series.append(_run(flow, _SAMPLE))
+        if k < wanted:
+            total += flow.state(0).u
+            samples += 1
+        report(what, min(k / wanted, 1.0))
+    return total / samples, np.concatenate(series)
 
 
 def _run(flow: FlowBatch, steps: int) -> np.ndarray:
@@ -257,5 +283,5 @@ def assembled(case: Case, progress: Progress | None = None) -> tuple[Operators, 
     with _assembling:
         if case not in _assembled:
             base = get(case, progress)
-            _assembled[case] = operators.assemble(case, base.mesh), base
+            _assembled[case] = operators.assemble(case, base.mesh, base.mean), base
         return _assembled[case]

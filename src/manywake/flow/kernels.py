@@ -94,11 +94,14 @@ def _blend(a, x, b, y, i, c):
 
 
 @kernel
-def convection(nodes, inverse, e0, u_now, e1, u_old, out):
-    """Subtract ((e . grad) e, v) from `out`, for e = e0 u_now + e1 u_old and every P2 test function v (eq. 6, 8).
+def convection(nodes, inverse, wind, e0, u_now, e1, u_old, out):
+    """Subtract (((e - U) . grad) e, v) from `out`, for e = e0 u_now + e1 u_old and every P2 test function v (eq. 6, 8).
 
-    nodes: (elements, 6). inverse: (elements, 4), the inverse Jacobian times its determinant, row by row.
+    nodes: (elements, 6). inverse: (elements, q, 4), the inverse Jacobian times its determinant, row by row, at each
+    quadrature point of curved triangles (q = 7), once for straight ones (q = 1). wind: (elements, 7, 2), the same
+    times U at the quadrature points.
     """
+    curved = 1 if inverse.shape[1] > 1 else 0
     for t in range(len(nodes)):
         i0, i1, i2 = nodes[t, 0], nodes[t, 1], nodes[t, 2]
         i3, i4, i5 = nodes[t, 3], nodes[t, 4], nodes[t, 5]
@@ -128,7 +131,6 @@ def convection(nodes, inverse, e0, u_now, e1, u_old, out):
         )
         ux0, ux1, ux2, ue0, ue1, ue2 = _slopes(u0, u1, u2, u3, u4, u5)
         vx0, vx1, vx2, ve0, ve1, ve2 = _slopes(v0, v1, v2, v3, v4, v5)
-        xx, xy, ex, ey = -inverse[t, 0], -inverse[t, 1], -inverse[t, 2], -inverse[t, 3]
         a0, a1, a2, a3, a4, a5 = (
             load(out, i0, 0), load(out, i1, 0), load(out, i2, 0), load(out, i3, 0), load(out, i4, 0), load(out, i5, 0),
         )  # fmt: skip
@@ -138,8 +140,9 @@ def convection(nodes, inverse, e0, u_now, e1, u_old, out):
         for q in range(7):
             u = _at(NODE, q, u0, u1, u2, u3, u4, u5)
             v = _at(NODE, q, v0, v1, v2, v3, v4, v5)
-            along_xi = fma(xy, v, mul(xx, u))
-            along_eta = fma(ey, v, mul(ex, u))
+            g = curved * q
+            along_xi = fma(-inverse[t, g, 1], v, fma(-inverse[t, g, 0], u, wind[t, q, 0]))
+            along_eta = fma(-inverse[t, g, 3], v, fma(-inverse[t, g, 2], u, wind[t, q, 1]))
             cu = fma(along_eta, _mix(q, ue0, ue1, ue2), mul(along_xi, _mix(q, ux0, ux1, ux2)))
             cv = fma(along_eta, _mix(q, ve0, ve1, ve2), mul(along_xi, _mix(q, vx0, vx1, vx2)))
             a0, b0 = fma(TEST[q, 0], cu, a0), fma(TEST[q, 0], cv, b0)
@@ -164,15 +167,18 @@ def convection(nodes, inverse, e0, u_now, e1, u_old, out):
 
 @kernel
 def momentum_forward(
-    r_start, r_column, r_value, h0, u, h1, u_old, g_start, g_column, g_value, p, l_start, l_column, l_value, y
+    r_start, r_column, r_value, u, u_old, g_start, g_column, g_value, p, l_start, l_column, l_value, y
 ):
-    """Add R (h0 u + h1 u_old) + G p to the first rows of y, and solve L y = y on the way (eq. 5, 9)."""
+    """Add R0 u + R1 u_old + G p to the first rows of y, and solve L y = y on the way (eq. 9).
+
+    r_value: (nnz, 2), the entries of R0 and R1.
+    """
     for i in range(len(r_start) - 1):
         sx, sy = load(y, i, 0), load(y, i, 1)
         for k in range(r_start[i], r_start[i + 1]):
-            j, r = r_column[k], r_value[k]
-            sx = fma(r, _blend(h0, u, h1, u_old, j, 0), sx)
-            sy = fma(r, _blend(h0, u, h1, u_old, j, 1), sy)
+            j, now, old = r_column[k], r_value[k, 0], r_value[k, 1]
+            sx = fma(now, load(u, j, 0), fma(old, load(u_old, j, 0), sx))
+            sy = fma(now, load(u, j, 1), fma(old, load(u_old, j, 1), sy))
         for k in range(g_start[i], g_start[i + 1]):
             q = load(p, g_column[k], 0)
             sx, sy = fma(g_value[k, 0], q, sx), fma(g_value[k, 1], q, sy)

@@ -11,7 +11,7 @@ from manywake.flow.case import Case
 
 @dataclass(frozen=True)
 class Mesh:
-    """Straight-sided triangles with named boundaries.
+    """Triangles with named boundaries, straight but for the facets of the cylinder, which are arcs about the origin.
 
     points: (n, 2) vertices. triangles: (e, 3) vertex numbers, counter-clockwise. boundaries: name -> (f, 2) vertex
     numbers of its facets; the names are wall, inlet, outlet, cylinder, and jet0, jet1, ... in the order of the case.
@@ -20,6 +20,11 @@ class Mesh:
     points: np.ndarray
     triangles: np.ndarray
     boundaries: dict[str, np.ndarray]
+
+    def arcs(self) -> np.ndarray:
+        """Return the facets of cylinder and jets, (f, 2) vertex numbers: the curved ones."""
+        facets = [f for name, f in self.boundaries.items() if name == "cylinder" or name[:3] == "jet"]
+        return np.concatenate(facets) if facets else np.empty((0, 2), int)
 
     def digest(self) -> str:
         """Return a hash of the mesh's content."""
@@ -75,10 +80,7 @@ def _build(gmsh, case: Case) -> Mesh:
         points = [geo.addPoint(radius * math.cos(a), radius * math.sin(a), 0) for a in at]
         return points, [geo.addCircleArc(points[k - 1], centre, points[k]) for k in [*range(1, len(points)), 0]]
 
-    ends = [*(angle for angle, _, _ in rays[1:]), rays[0][0] + 360]
-    pieces_of = [[math.radians(end - start) / n] * n for (start, _, n), end in zip(rays, ends, strict=True)]
-    vertex_radius = r * equal_area(np.concatenate(pieces_of))
-    (inner_points, inner_arcs), (outer_points, outer_arcs) = ring(vertex_radius), ring(outer)
+    (inner_points, inner_arcs), (outer_points, outer_arcs) = ring(r), ring(outer)
     spokes = [geo.addLine(a, b) for a, b in zip(inner_points, outer_points, strict=True)]
     patches = []
     for k, (_, name, facets) in enumerate(rays):
@@ -117,21 +119,13 @@ def _build(gmsh, case: Case) -> Mesh:
     return _compact(xy, triangles, boundaries)
 
 
-def equal_area(angles: np.ndarray) -> float:
-    """Return the radius of a polygon's vertices that gives it the unit circle's area; angles of its facets, (f,).
-
-    A cylinder of straight facets through the circle is too small by the order of their length squared; this one is not.
-    """
-    return math.sqrt(2 * math.pi / np.sin(angles).sum())
-
-
 def _size(case: Case, outer: float, x: float, y: float) -> float:
     """Return the wanted triangle size at a point outside the layers, which end at radius `outer`."""
     size = case.resolution
     # faster where the flow comes from; slower downstream, where the shear layers roll up
-    growth = 0.16 - 0.04 * min(max(x / case.radius, 0.0), 1.0)
+    growth = 0.14 - 0.04 * min(max(x / case.radius, 0.0), 1.0)
     near = size.cylinder * outer / case.radius + growth * max(math.hypot(x, y) - outer, 0.0)
-    wake = size.wake + 0.035 * max(x - 0.5, 0.0) + 0.25 * max(abs(y - 0.005) - 0.1, 0.0) + 0.3 * max(-x - 0.05, 0.0)
+    wake = size.wake + 0.045 * max(x - 0.3, 0.0) + 0.4 * max(abs(y - 0.005) - 0.1, 0.0) + 0.6 * max(-x - 0.05, 0.0)
     return min(near, wake, size.far)
 
 
@@ -149,7 +143,7 @@ def _compact(points: np.ndarray, triangles: np.ndarray, boundaries: dict[str, np
 
 
 def refine(mesh: Mesh, case: Case) -> Mesh:
-    """Cut every triangle into four; the cylinder's vertices then go where they give its polygon the circle's area."""
+    """Cut every triangle into four; the new vertices of the cylinder's facets go onto the circle."""
     edges = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, inverse = np.unique(edges, axis=0, return_inverse=True)
     n = len(mesh.points)
@@ -159,12 +153,8 @@ def refine(mesh: Mesh, case: Case) -> Mesh:
     for name, facets in mesh.boundaries.items():
         mids = np.array([number[min(a, b), max(a, b)] for a, b in facets.tolist()])
         boundaries[name] = np.concatenate([np.c_[facets[:, 0], mids], np.c_[mids, facets[:, 1]]])
-    body = np.unique(
-        [v for name, f in boundaries.items() if name == "cylinder" or name[:3] == "jet" for v in f.ravel()]
-    )
-    angle = np.sort(np.arctan2(points[body, 1], points[body, 0]))
-    radius = case.radius * equal_area(np.diff(angle, append=angle[0] + 2 * math.pi))
-    points[body] *= (radius / np.linalg.norm(points[body], axis=1))[:, None]
+    middles = [number[min(a, b), max(a, b)] for a, b in mesh.arcs().tolist()]
+    points[middles] *= (case.radius / np.linalg.norm(points[middles], axis=1))[:, None]
     a, b, c = mesh.triangles.T
     ab, bc, ca = (n + inverse.reshape(-1, 3)).T
     triangles = np.concatenate([np.c_[a, ab, ca], np.c_[ab, b, bc], np.c_[ca, bc, c], np.c_[ab, bc, ca]])

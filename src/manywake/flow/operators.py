@@ -15,10 +15,12 @@ import numpy as np
 import scipy.sparse as sp
 import skfem
 from scipy.sparse.linalg import splu
+from skfem.helpers import dot, grad
 
 from manywake.flow import disk
 from manywake.flow import space as spaces
-from manywake.flow.case import Case
+from manywake.flow.case import FULL_RATE, Case
+from manywake.flow.kernels import NODE
 from manywake.flow.mesh import Mesh
 from manywake.flow.space import Space
 
@@ -44,6 +46,10 @@ class Tables(NamedTuple):
 
     nodes: np.ndarray
     inverse: np.ndarray
+    wind: np.ndarray
+    curved_nodes: np.ndarray
+    curved_inverse: np.ndarray
+    curved_wind: np.ndarray
     history: Rows
     gradient: Rows
     momentum: Factors
@@ -57,7 +63,8 @@ class Tables(NamedTuple):
     jet_profile: np.ndarray
     body: np.ndarray
     force_new: Rows
-    force_history: Rows
+    force_now: Rows
+    force_old: Rows
     force_pressure: Rows
     jet_thrust: np.ndarray
     numbers: np.ndarray
@@ -145,8 +152,11 @@ def load(path: Path, case: Case, mesh: Mesh) -> Operators:
     return ops
 
 
-def assemble(case: Case, mesh: Mesh) -> Operators:
-    """Assemble and factor the operators of `case` on `mesh` (docs/numerics.md, eq. 4-14)."""
+def assemble(case: Case, mesh: Mesh, mean: np.ndarray | None = None) -> Operators:
+    """Assemble and factor the operators of `case` on `mesh` (docs/numerics.md, eq. 4-14).
+
+    mean: (n, 2) velocity in scikit-fem's order that advects implicitly where the scheme wants one.
+    """
     space = spaces.build(mesh)
     jet_names = [f"jet{i}" for i in range(len(case.jets))]
     body_names = ["cylinder", *jet_names]
@@ -165,6 +175,7 @@ def assemble(case: Case, mesh: Mesh) -> Operators:
         pressure_fixed=space.boundary_vertices("outlet"),
         jet_flux_error=flux_error,
         jet_thrust=thrust,
+        mean=mean,
     )
 
 
@@ -211,17 +222,26 @@ def from_boundary_data(
     pressure_fixed: np.ndarray,
     jet_flux_error: np.ndarray,
     jet_thrust: np.ndarray,
+    mean: np.ndarray | None = None,
 ) -> Operators:
     """Assemble for any Dirichlet data of the form steady + sum over jets of Q_j(t) profile_j.
 
     fixed: velocity nodes with Dirichlet data. steady: (n, 2), profiles: (jets, n, 2), zero away from `fixed`.
     body: nodes whose momentum residual is the force. pressure_fixed: pressure nodes held at zero.
+    mean: (n, 2) velocity that advects implicitly; ValueError where the scheme wants one and there is none.
     """
     scheme, dt, nu = case.scheme, case.time_step, case.viscosity
     n, m = space.mass.shape[0], space.pressure_stiffness.shape[0]
     M, K = space.mass, space.stiffness
-    A = scheme.new / dt * M + scheme.implicit * nu * K
-    R = M / dt - (1 - scheme.implicit) * nu * K
+    S = damping(case, space)
+    if scheme.mean and mean is None:
+        raise ValueError(f"mean: got none, wanted the velocity (n, 2) that scheme {scheme.name!r} advects with")
+    U = mean if scheme.mean and mean is not None else np.zeros_like(space.x)
+    A = scheme.new / dt * M + scheme.implicit * nu * K + S
+    if scheme.mean:
+        A = A + spaces.advection(space, U)
+    old = M / dt - (1 - scheme.implicit) * nu * K
+    R = [h * old + e * S for h, e in zip(scheme.history, scheme.extrapolation, strict=True)]
 
     free = np.setdiff1d(np.arange(n), fixed)
     factors, order = factor(A[free][:, free])
@@ -246,10 +266,18 @@ def from_boundary_data(
     test = np.zeros(n)
     test[body] = 1.0
     force_pressure = _pair(*(sp.csr_matrix((B @ test)[None, pressure_order]) for B in (Bx, By)))
+    curved = space.curved
+    straight = _locality(space, place)
+    straight = straight[~np.isin(straight, curved)]
+    winds = [NODE @ U[space.nodes[part]] for part in (straight, curved)]
     tables = Tables(
-        nodes=place[space.nodes[_locality(space, place)]].astype(np.uint32),
-        inverse=np.ascontiguousarray(space.inverse[_locality(space, place)]),
-        history=_rows(R[free][:, velocity_order]),
+        nodes=place[space.nodes[straight]].astype(np.uint32),
+        inverse=np.ascontiguousarray(space.inverse[straight, None]),
+        wind=spaces.wind(space.inverse[straight, None], winds[0]),
+        curved_nodes=place[space.nodes[curved]].astype(np.uint32),
+        curved_inverse=space.curved_inverse,
+        curved_wind=spaces.wind(space.curved_inverse, winds[1]),
+        history=_pair(*(part[free][:, velocity_order] for part in R)),
         gradient=_pair(*(B[:, free][pressure_order].T for B in (Bx, By))),
         momentum=factors,
         divergence=_pair(*(-scheme.new / dt * B[p_free][:, velocity_order] for B in (Bx, By))),
@@ -262,10 +290,11 @@ def from_boundary_data(
         jet_profile=np.ascontiguousarray(profiles[:, velocity_order[jet_rows]]),
         body=np.sort(place[body]).astype(np.uint32),
         force_new=_same(sp.csr_matrix((A.T @ test)[None, velocity_order])),
-        force_history=_same(sp.csr_matrix(-(R.T @ test)[None, velocity_order])),
+        force_now=_same(sp.csr_matrix(-(R[0].T @ test)[None, velocity_order])),
+        force_old=_same(sp.csr_matrix(-(R[1].T @ test)[None, velocity_order])),
         force_pressure=force_pressure,
         jet_thrust=jet_thrust,
-        numbers=np.array([*scheme.history, *scheme.extrapolation, *scheme.pressure, 2.0 / case.diameter]),
+        numbers=np.array([*scheme.extrapolation, *scheme.pressure, 2.0 / case.diameter]),
     )
     points = np.array(case.probes).reshape(-1, 2)
     return Operators(
@@ -281,10 +310,31 @@ def from_boundary_data(
     )
 
 
+REACH = 2.0
+"""How far `damping` reaches around a jet, in widths of the jet."""
+
+
+def damping(case: Case, space: Space) -> sp.csr_matrix:
+    """Return S (n, n), the stiffness for a viscosity that falls off around each jet as a Gaussian (eq. 15)."""
+    centres = [case.radius * np.array([np.cos(a), np.sin(a)]) for a in np.radians([jet.angle for jet in case.jets])]
+    widths = [case.radius * np.radians(jet.width) for jet in case.jets]
+
+    def viscosity(x):
+        total = 0.0 * x[0]
+        for centre, width in zip(centres, widths, strict=True):
+            peak = np.pi * FULL_RATE / (2 * width)
+            distance = ((x[0] - centre[0]) ** 2 + (x[1] - centre[1]) ** 2) / (REACH * width) ** 2
+            total = total + case.scheme.damping * case.time_step * peak**2 * np.exp(-distance)
+        return total
+
+    form = skfem.BilinearForm(lambda u, v, w: viscosity(w.x) * dot(grad(u), grad(v)))
+    return sp.csr_matrix(form.assemble(space.velocity))
+
+
 def factor(matrix: sp.spmatrix) -> tuple[Factors, np.ndarray]:
     """Factor a matrix of symmetric structure as L D U after a fill-reducing permutation, returned with it.
 
-    SuperLU in symmetric mode with a minimum-degree ordering, no pivoting: the matrices are positive definite.
+    SuperLU in symmetric mode with a minimum-degree ordering, no pivoting: the symmetric part is positive definite.
     """
     lu = splu(
         sp.csc_matrix(matrix),

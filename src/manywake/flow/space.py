@@ -1,4 +1,4 @@
-"""Taylor-Hood elements: P2 velocity and P1 pressure on straight triangles, by scikit-fem."""
+"""Taylor-Hood elements: P2 velocity and P1 pressure on triangles, isoparametric at the cylinder, by scikit-fem."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,18 @@ import scipy.sparse as sp
 import skfem
 from skfem.helpers import dot, grad
 
+from manywake.flow.kernels import CORNER
 from manywake.flow.mesh import Mesh
+
+
+class Curved(skfem.MeshTri2):
+    """Quadratic triangles; points are looked for in the straight ones of the same vertices.
+
+    That finds the right triangle for every point of the fluid: the chords lie inside the cylinder.
+    """
+
+    def element_finder(self, mapping=None):
+        return skfem.MeshTri(np.ascontiguousarray(self.doflocs[:, : self.nvertices]), self.t).element_finder()
 
 
 @dataclass(frozen=True)
@@ -17,7 +28,9 @@ class Space:
     `n` velocity nodes (P2: vertices and edge midpoints) and `m` pressure nodes (P1: vertices), numbered as
     scikit-fem does. x: (n, 2) positions of the velocity nodes. nodes: (elements, 6) their numbers, vertices first.
     mass, stiffness: (n, n) for one velocity component. divergence: pair of (m, n), (q, du/dx) and (q, dv/dy).
-    pressure_stiffness: (m, m). inverse: (elements, 4), inverse Jacobian times its absolute determinant, row by row.
+    pressure_stiffness: (m, m). curved: numbers of the elements with an arc of the cylinder. inverse: (elements, 4),
+    inverse Jacobian times its absolute determinant, row by row, of the straight elements. curved_inverse:
+    (curved, 7, 4), the same at the quadrature points of the curved ones.
     """
 
     mesh: Mesh
@@ -26,6 +39,8 @@ class Space:
     x: np.ndarray
     nodes: np.ndarray
     inverse: np.ndarray
+    curved: np.ndarray
+    curved_inverse: np.ndarray
     mass: sp.csr_matrix
     stiffness: sp.csr_matrix
     divergence: tuple[sp.csr_matrix, sp.csr_matrix]
@@ -50,7 +65,9 @@ class Space:
 def build(mesh: Mesh) -> Space:
     """Set up the spaces and assemble their matrices."""
     skmesh = skfem.MeshTri(mesh.points.T.copy(), mesh.triangles.T.copy())
-    velocity = skfem.Basis(skmesh, skfem.ElementTriP2(), intorder=4)
+    if len(mesh.arcs()):
+        skmesh = _curve(skmesh, mesh)
+    velocity = skfem.Basis(skmesh, skfem.ElementTriP2(), intorder=5)
     pressure = velocity.with_element(skfem.ElementTriP1())
 
     @skfem.BilinearForm
@@ -64,17 +81,18 @@ def build(mesh: Mesh) -> Space:
     def divergence(c):
         return skfem.BilinearForm(lambda u, q, w: q * u.grad[c])
 
-    # scikit-fem sorts the vertices of a triangle, so it may stand clockwise: hence the sign
-    a, b, c = (mesh.points[vertices] for vertices in skmesh.t)
-    (j00, j10), (j01, j11) = (b - a).T, (c - a).T
-    sign = np.sign(j00 * j11 - j01 * j10)
+    nodes, x = velocity.element_dofs.T.copy(), velocity.doflocs.T.copy()
+    straight = (x[nodes[:, :3]] + x[nodes[:, [1, 2, 0]]]) / 2
+    curved = np.flatnonzero((abs(x[nodes[:, 3:]] - straight) > 1e-12).any(axis=(1, 2)))
     return Space(
         mesh,
         velocity,
         pressure,
-        velocity.doflocs.T.copy(),
-        velocity.element_dofs.T.copy(),
-        np.stack([j11, -j01, -j10, j00], axis=1) * sign[:, None],
+        x,
+        nodes,
+        _inverse(x[nodes], CORNER[:1])[:, 0],
+        curved,
+        _inverse(x[nodes[curved]], CORNER),
         _clean(mass.assemble(velocity)),
         _clean(stiffness.assemble(velocity)),
         (
@@ -83,6 +101,36 @@ def build(mesh: Mesh) -> Space:
         ),
         _clean(stiffness.assemble(pressure)),
     )
+
+
+def _curve(skmesh: skfem.MeshTri, mesh: Mesh) -> Curved:
+    """Return the mesh with the middle of each facet of the cylinder moved out to its circle."""
+    known = {(int(a), int(b)): k for k, (a, b) in enumerate(skmesh.facets.T)}
+    middles = len(mesh.points) + np.array([known[min(a, b), max(a, b)] for a, b in mesh.arcs().tolist()])
+    curved = Curved.from_mesh(skmesh)
+    radius = np.linalg.norm(mesh.points[mesh.arcs()[:, 0]], axis=1)
+    curved.doflocs[:, middles] *= radius / np.linalg.norm(curved.doflocs[:, middles], axis=0)
+    return curved
+
+
+def _inverse(x: np.ndarray, corner: np.ndarray) -> np.ndarray:
+    """Return the inverse Jacobian times its absolute determinant, (elements, q, 4).
+
+    x: (elements, 6, 2) positions of the nodes. corner: (q, 3) barycentric coordinates of the points.
+    """
+    l0, l1, l2 = corner.T
+    zero = np.zeros_like(l0)
+    xi = np.stack([1 - 4 * l0, 4 * l1 - 1, zero, 4 * (l0 - l1), 4 * l2, -4 * l2])
+    eta = np.stack([1 - 4 * l0, zero, 4 * l2 - 1, -4 * l1, 4 * l1, 4 * (l0 - l2)])
+    (x_xi, y_xi), (x_eta, y_eta) = (np.einsum("kq,ekc->ceq", slope, x) for slope in (xi, eta))
+    # scikit-fem sorts the vertices of a triangle, so it may stand clockwise: hence the sign
+    sign = np.sign(x_xi * y_eta - x_eta * y_xi)
+    return np.stack([y_eta, -x_eta, -y_xi, x_xi], axis=2) * sign[:, :, None]
+
+
+def wind(inverse: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return `inverse` (elements, q or 1, 4) times the velocity u (elements, q, 2), (elements, q, 2)."""
+    return np.einsum("eqij,eqj->eqi", np.broadcast_to(inverse, (*u.shape[:2], 4)).reshape(*u.shape, 2), u)
 
 
 def _clean(matrix: sp.spmatrix) -> sp.csr_matrix:
@@ -97,3 +145,10 @@ def _clean(matrix: sp.spmatrix) -> sp.csr_matrix:
 def probe_matrix(basis: skfem.CellBasis, points: np.ndarray) -> sp.csr_matrix:
     """Return the matrix (points, nodes) that interpolates a nodal vector at points (k, 2)."""
     return _clean(basis.probes(points.T))
+
+
+def advection(space: Space, velocity: np.ndarray) -> sp.csr_matrix:
+    """Return N (n, n), ((U . grad) psi_k, psi_i) for a velocity U (n, 2) at the nodes."""
+    U, V = (space.velocity.interpolate(velocity[:, c]) for c in range(2))
+    form = skfem.BilinearForm(lambda u, v, w: (w.U * u.grad[0] + w.V * u.grad[1]) * v)
+    return _clean(form.assemble(space.velocity, U=U, V=V))

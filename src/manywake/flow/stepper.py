@@ -36,8 +36,7 @@ class State:
 @kernel
 def _advance(ops, u, u_old, p, phi, phi_old, y, jets, force):
     """Take len(jets) steps. jets: (steps, jets) lanes. force: (steps, 2) lanes, receives C_D and C_L."""
-    h0, h1, e0, e1 = ops.numbers[0], ops.numbers[1], ops.numbers[2], ops.numbers[3]
-    q1, q2, to_coefficient = ops.numbers[4], ops.numbers[5], ops.numbers[6]
+    e0, e1, q1, q2, to_coefficient = ops.numbers[0], ops.numbers[1], ops.numbers[2], ops.numbers[3], ops.numbers[4]
     nf = len(ops.momentum.inverse_diagonal)
     mf = len(ops.poisson.inverse_diagonal)
     for s in range(len(jets)):
@@ -45,7 +44,8 @@ def _advance(ops, u, u_old, p, phi, phi_old, y, jets, force):
         fill(ops.lift, y)
         for j in range(jets.shape[1]):
             add_scaled(ops.jet_lift_rows, ops.jet_lift[j], jets, s, j, y)
-        convection(ops.nodes, ops.inverse, e0, u, e1, u_old, y)
+        convection(ops.nodes, ops.inverse, ops.wind, e0, u, e1, u_old, y)
+        convection(ops.curved_nodes, ops.curved_inverse, ops.curved_wind, e0, u, e1, u_old, y)
 
         # what of the force is known before u at t + dt (eq. 14)
         fx, fy = splat(0.0, force), splat(0.0, force)
@@ -56,8 +56,8 @@ def _advance(ops, u, u_old, p, phi, phi_old, y, jets, force):
             fx, fy = fma(mul(-ops.jet_thrust[j, 0], q), q, fx), fma(mul(-ops.jet_thrust[j, 1], q), q, fy)
         store(force, s, 0, fx)
         store(force, s, 1, fy)
-        add_product(ops.force_history.column, h0, ops.force_history.value, u, s, force)
-        add_product(ops.force_history.column, h1, ops.force_history.value, u_old, s, force)
+        add_product(ops.force_now.column, 1.0, ops.force_now.value, u, s, force)
+        add_product(ops.force_old.column, 1.0, ops.force_old.value, u_old, s, force)
 
         # velocity at t + dt (eq. 9): boundary values, then the free nodes
         fill(ops.fixed, y[nf:])
@@ -67,7 +67,7 @@ def _advance(ops, u, u_old, p, phi, phi_old, y, jets, force):
             old = load(p, i, 0)
             store(phi_old, i, 0, fma(q1, load(phi, i, 0), fma(q2, load(phi_old, i, 0), old)))
         momentum_forward(
-            ops.history.start, ops.history.column, ops.history.value, h0, u, h1, u_old,
+            ops.history.start, ops.history.column, ops.history.value, u, u_old,
             ops.gradient.start, ops.gradient.column, ops.gradient.value, phi_old,
             ops.momentum.lower.start, ops.momentum.lower.column, ops.momentum.lower.value, y,
         )  # fmt: skip

@@ -16,14 +16,15 @@ import numpy as np
 
 from manywake.flow import baseline, exact, operators, sensors, steady
 from manywake.flow import mesh as meshes
+from manywake.flow import space as spaces
 from manywake.flow.baseline import Baseline, Progress
 from manywake.flow.batch import FlowBatch, Start
-from manywake.flow.case import BDF2, CASES, Case
+from manywake.flow.case import BDF2, CASES, GODA, Case
 from manywake.flow.operators import Operators
 
-DURATION = 6.0
-"""How long the controlled flows run from the start state, about 18 shedding periods."""
-SETTLE = 2.0
+DURATION = 12.0
+"""How long the controlled flows run from the start state, about 36 shedding periods."""
+SETTLE = 4.0
 """What of it is not averaged: the start-up of the jets, and on the fine mesh the interpolated start state."""
 TOLERANCE = 0.02
 """Of the changes of C_D and C_L by the jets against those on the fine mesh."""
@@ -51,7 +52,7 @@ FORCINGS: dict[str, list[Forcing]] = {
 At 3.6 per unit of time shedding does not lock to the jets: the flow has two frequencies, and five of one almost meet
 six of the other. Four columns whose forcing is a quarter of a cycle apart meet that beat at four phases at once. What
 their mean still has is the start-up, common to all four, which swings by a third of the change with a period of two
-units and needs a window of eight: DURATION is too short for it, and longer was too dear (docs/results.md).
+units: hence a window of eight.
 """
 
 REFERENCE = Path(str(files("manywake") / "data" / "controlled-reference.json"))
@@ -104,7 +105,7 @@ def run(case: Case = CASES["cylinder-jets"], progress: Progress | None = None, r
 
 def dfg_steady(case: Case, base: Baseline, report: Progress) -> list[Check]:
     """DFG 2D-1: at Re 20 the Karman street we start from must die and leave the steady flow."""
-    ops = operators.assemble(replace(case, reynolds=20.0), base.mesh)
+    ops = operators.assemble(replace(case, reynolds=20.0), base.mesh, base.mean)
     flow = FlowBatch(ops, base.start, 1)
     unit = round(1.0 / case.time_step)
     c_d, c_l, dp = np.nan, np.nan, np.nan
@@ -157,7 +158,7 @@ def jets(ops: Operators) -> list[Check]:
     return [
         *checks,
         Check("jets' net flux at Q = 1, -1", net, 0.0, 1e-12, "absolute", "exact"),
-        Check("jets' flux error before scaling", error, 0.005, 0.0, "at most", "two facets a jet give 0.25 %"),
+        Check("jets' flux error before scaling", error, 0.005, 0.0, "at most", "two facets a jet give 0.22 %"),
     ]
 
 
@@ -168,7 +169,7 @@ def forces(ops: Operators, start: Start) -> list[Check]:
     tolerances are the surface integral's: slopes on the surface are an order less accurate. On the shipped mesh it
     is 1.1 % below in C_D and 0.018 away in C_L, on the refined one 0.3 % and 0.006.
     """
-    rates = np.zeros((400, len(ops.case.jets), 1))
+    rates = np.zeros((round(0.2 / ops.case.time_step), len(ops.case.jets), 1))
     rates[:, 0] = 0.005
     flow = FlowBatch(ops, start, 1)
     c_d, c_l = flow.advance(rates)[-1, :, 0]
@@ -199,7 +200,7 @@ def orders(case: Case) -> list[Check]:
     return [
         Check("order of velocity in space", velocity, 2.8, 0.0, "at least", source),
         Check("order of pressure in space", pressure, 1.8, 0.0, "at least", source),
-        Check("order of velocity in time", in_time, 1.9 if case.scheme == BDF2 else 0.9, 0.0, "at least", source),
+        Check("order of velocity in time", in_time, 0.9 if case.scheme == GODA else 1.9, 0.0, "at least", source),
     ]
 
 
@@ -249,12 +250,14 @@ def fine_reference(case: Case = CASES["cylinder-jets"], progress: Progress | Non
     report = progress or (lambda what, share: None)
     ops, base = baseline.assembled(case)
     mesh = meshes.refine(base.mesh, case)
-    fine = operators.assemble(replace(case, time_step=case.time_step / 2, scheme=BDF2), mesh)
+    scheme = BDF2 if case.scheme == GODA else case.scheme
+    chosen = replace(case, time_step=case.time_step / 2, scheme=scheme)
+    fine = operators.assemble(chosen, mesh, _moved(ops, spaces.build(mesh).x) @ base.mean)
     record = forced(fine, interpolate(ops, base.start, fine), report, "fine reference")
     return {
         "recipe": (
             f"manywake.flow.validate.fine_reference: every triangle of the mesh cut into four ({len(mesh.triangles)} "
-            f"triangles), time step {fine.case.time_step:g}, {BDF2.name}; the case's start state interpolated, then "
+            f"triangles), time step {fine.case.time_step:g}, {scheme.name}; the case's start state interpolated, then "
             f"{DURATION:g} units of time; changes are means with a sin^4 window over all but the first {SETTLE:g}"
         ),
         **_identity(case, base),
@@ -287,15 +290,20 @@ def _identity(case: Case, base: Baseline) -> dict[str, Any]:
 
 def interpolate(ops: Operators, start: Start, fine: Operators) -> Start:
     """Return a state on the refined mesh at half the time step, with the fine mesh's boundary values, jets off."""
-
-    def inside(points: np.ndarray) -> np.ndarray:
-        """Return points (2, k) with those on the cylinder, a finer polygon, moved to where the coarse mesh begins."""
-        distance = np.linalg.norm(points, axis=1)
-        return (points * (np.maximum(distance, 1.01 * ops.case.radius) / distance)[:, None]).T
-
-    velocity = ops.space.velocity.probes(inside(fine.space.x))
-    pressure = ops.space.pressure.probes(inside(fine.space.mesh.points))
+    velocity = _moved(ops, fine.space.x)
+    pressure = spaces.probe_matrix(ops.space.pressure, _inside(ops, fine.space.mesh.points))
     u, u_old = velocity @ start.u, velocity @ (0.5 * (start.u + start.u_old))
     for part in (u, u_old):
         part[fine.velocity_order[fine.free :]] = fine.tables.fixed
     return Start(u, u_old, pressure @ start.p, pressure @ start.phi / 2, pressure @ start.phi_old / 2)
+
+
+def _moved(ops: Operators, points: np.ndarray):
+    """Return the matrix that interpolates velocities at the nodes of a refined mesh, (k, 2)."""
+    return spaces.probe_matrix(ops.space.velocity, _inside(ops, points))
+
+
+def _inside(ops: Operators, points: np.ndarray) -> np.ndarray:
+    """Return points (k, 2) with those on the cylinder moved off it, where rounding cannot put them into the body."""
+    distance = np.linalg.norm(points, axis=1)
+    return points * (np.maximum(distance, (1 + 1e-6) * ops.case.radius) / distance)[:, None]
