@@ -366,10 +366,10 @@ def test_actions_of_the_wrong_shape_are_refused(shape):
         ({"actions_per_episode": 1}, "actions_per_episode: got 1, wanted at least 2"),
         ({"max_flow_rate": 1.0}, "max_flow_rate: got 1, wanted"),
         ({"probes": ((0.0, 0.0),)}, "probe 0: got .* inside the cylinder; wanted"),
-        ({"time_step": 1e-3}, "time_step: got 0.001, wanted"),
+        ({"time_step": 2e-3}, "time_step: got 0.002, wanted"),
         (
             {"action_interval": 0.0252},
-            "action_interval: got 0.0252, wanted a multiple of the time step 0.0005; the nearest is 0.025",
+            "action_interval: got 0.0252, wanted a multiple of the time step 0.001; the nearest is 0.025",
         ),
         ({"action_interval": 0.0}, "action_interval: got 0, wanted a multiple"),
         ({"action_interval": -0.025}, "action_interval: got -0.025, wanted a multiple"),

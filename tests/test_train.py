@@ -2,6 +2,7 @@
 
 import base64
 import dataclasses
+import multiprocessing
 import os
 import pickle
 import shutil
@@ -144,7 +145,8 @@ def test_without_a_whole_checkpoint_resume_says_so(tmp_path, whole):
 
 def test_a_worker_killed_in_mid_training_changes_no_bit(tmp_path, whole):
     engine = Processes(2)
-    victims = {engine.submit(os.getpid).result(60) for _ in range(20)}
+    engine.submit(os.getpid).result(60)
+    victims = {child.pid for child in multiprocessing.active_children()}
 
     def show(episodes, shares, failures):
         # one block has come, another is played, two wait: all workers go
@@ -152,7 +154,7 @@ def test_a_worker_killed_in_mid_training_changes_no_bit(tmp_path, whole):
             os.kill(victims.pop(), signal.SIGKILL)
 
     try:
-        assert len(victims) == 2
+        assert len(victims) >= 2
         trained = train.train(tmp_path / "run", settings(), engine, Layout(4, 2, 1), show)
     finally:
         engine.close()
@@ -210,7 +212,7 @@ def test_code_in_a_checkpoint_is_never_run(tmp_path, whole, member):
     shutil.copytree(whole["synced"], tmp_path / "run")
     with zipfile.ZipFile(tmp_path / "run" / "checkpoints" / "last.zip") as archive:
         content = {name: archive.read(name) for name in archive.namelist()}
-    trap = pickle.dumps(Trap(tmp_path / "sprung"))
+    trap = pickle.dumps(Trap(tmp_path / "sprung"), protocol=2)
     content[member] = (
         trap if member.endswith("pth") else b'{"policy": {":serialized:": "' + base64.b64encode(trap) + b'"}}'
     )
