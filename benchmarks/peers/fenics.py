@@ -7,7 +7,8 @@ P2/P1 elements, incremental pressure correction after Goda (1979): Crank-Nicolso
     (u* - u)/dt + (u . grad) u = div sigma((u + u*)/2, p),    lap p' = lap p + div u*/dt,    u' = u* - dt grad(p' - p).
 
 as-written: the three matrices are assembled and factored once, the three right-hand sides are assembled anew in every
-step with their boundary conditions, forces are forms written down at each call. So does the paper's released code.
+step with their boundary conditions, forces are forms written down at each call. So does the paper's released code,
+which also finds the area of recirculation in every step; that is left out here.
 tuned: the same equations, hence the same numbers; everything linear is a product with a matrix kept, only convection
 is assembled, by kernels compiled with all optimisations; every matrix has the factorisation that suits it.
 """

@@ -16,7 +16,7 @@ from manywake.flow import baseline
 from manywake.flow.case import CASES
 
 
-def main(widths: list[int], blocks: int = 5) -> None:
+def main(widths: list[int], blocks: int = 8) -> None:
     case, task = CASES["cylinder-jets"], Task()
     ops, base = baseline.assembled(case)
     rng = np.random.default_rng(0)
