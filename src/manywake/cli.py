@@ -408,10 +408,11 @@ class Bench:
     """Measure, with the scripts in benchmarks/.
 
     step: milliseconds per flow and time step, forces, probes and control law included. scaling: speed-up of collection
-    with the number of environments (half an hour, mostly asleep).
+    with the number of environments (half an hour, mostly asleep). peers: the paper's scheme in FEniCS, as written and
+    tuned, and in scikit-fem, beside ours (what is installed; ten minutes).
     """
 
-    what: Annotated[Literal["step", "scaling"], tyro.conf.Positional]
+    what: Annotated[Literal["step", "scaling", "peers"], tyro.conf.Positional]
     lanes: tuple[int, ...] = (1, 8, 16, 32)
     """Batch widths that step measures."""
     json: Json = False
