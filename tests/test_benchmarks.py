@@ -1,6 +1,5 @@
 """The benchmarks run and say what they promise; their figures are measured elsewhere, never asserted."""
 
-import sys
 from pathlib import Path
 
 import pytest
