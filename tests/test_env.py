@@ -468,7 +468,7 @@ def test_rewards_are_those_computed_by_hand():
         "code": 0.004,  # 0.159 - 0.150 - 0.2 * 0.025
         "drag": -3.0,
         "drag-offset": 0.2,
-        "reduction": 0.1,  # 3.2 - 3.0 - 0.2 * 0.5
+        "reduction": -0.05,  # 3.2 - 3.0 - 0.5 * 0.5
     }
     assert set(by_hand) == set(REWARDS)
     for name, wanted in by_hand.items():

@@ -112,7 +112,7 @@ class Wake(gymnasium.Env):
     """The wake of `solver.py`, to be calmed.
 
     Observation (4,): probes in the wake, of the order of 1. Action (1,) in [-1, 1]: the jet's flow rate, held for an
-    action interval. Reward: C_D0 - C_D - 0.2 |C_L|, manywake's default. `info` has c_d and c_l. An episode has no end
+    action interval. Reward: C_D0 - C_D - 0.2 |C_L|. `info` has c_d and c_l. An episode has no end
     of its own. seconds: the longest that an answer may take; the first waits for the program's start too.
     """
 
