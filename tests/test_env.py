@@ -19,7 +19,7 @@ from manywake.flow.batch import FlowBatch, Start
 ID = "manywake/CylinderJets-v0"
 
 SHORT = {"action_interval": 0.002, "actions_per_episode": 3}
-"""Four solver steps an action, three actions an episode."""
+"""Two solver steps an action, three actions an episode."""
 
 
 def actions(steps, flows, seed=0):
@@ -438,14 +438,14 @@ def test_step_is_there_at_once():
 
 
 @pytest.mark.parametrize("control", tasks.CONTROL_LAWS)
-def test_the_environment_s_jets_follow_the_law(control):
+def test_the_environment_s_jets_follow_the_law(control, ops):
     env = CylinderJetsEnv(control=control, **SHORT)
     env.reset(seed=0)
     before = previous = 0.0
     for a in (1.0, -0.5, 7.0):
         info = env.step(np.array([a], np.float32))[4]
         wanted = 0.01 * min(a, 1.0)
-        before = series(control, wanted, before, previous, action_interval=0.002)[-1]
+        before = series(control, wanted, before, previous, ops.case.time_step, action_interval=0.002)[-1]
         previous = wanted
         np.testing.assert_array_equal(info["jets"], [before, -before])
 
@@ -482,7 +482,7 @@ def test_the_environment_pays_the_named_reward_of_its_mean_coefficients(name, op
     env = CylinderJetsEnv(reward=name, **SHORT)
     env.reset(seed=0)
     _, reward, _, _, info = env.step(np.ones(1, np.float32))
-    jets = series("exponential", 0.01, action_interval=0.002)
+    jets = series("exponential", 0.01, time_step=ops.case.time_step, action_interval=0.002)
     c_d, c_l = FlowBatch(ops, base.start, 1).advance(np.stack([jets, -jets], axis=1)[:, :, None]).mean(axis=0)[:, 0]
     assert (info["c_d"], info["c_l"]) == pytest.approx((c_d, c_l), rel=1e-12)
     assert reward == REWARDS[name](info["c_d"], info["c_l"], base.shedding.cd_mean)

@@ -30,7 +30,8 @@ def test_the_steady_flow_has_all_the_shedding_drag_removed(shipped):
     steady = np.full(100, base.cd_steady)
     control = evaluate.control(base, Task(), steady, steady, steady)
     assert control.share_of_shedding_drag == pytest.approx(1.0)
-    assert 0.075 < control.drag_reduction < 0.0795
+    # 2.942 against 3.196; half a thousandth of either is a tenth of a point of their difference
+    assert control.drag_reduction == pytest.approx(0.0795, abs=0.001)
 
 
 def test_evaluation_windows_and_engine_do_not_change_the_numbers(shipped):
@@ -39,9 +40,10 @@ def test_evaluation_windows_and_engine_do_not_change_the_numbers(shipped):
     again = evaluate.evaluate(JetFlows(*shipped, task), constant(0.3), Threads(1))
     assert result.summary() == again.summary()
     assert len(result.phases) == evaluate.PHASES
-    assert result.trajectory.c_d.shape == (4 * 2 * 50, evaluate.PHASES)
-    np.testing.assert_allclose(result.episode.cd_controlled, result.trajectory.c_d[50:100, 0].mean())
-    np.testing.assert_allclose(result.long_run.cl_mean, result.trajectory.c_l[200:, 0].mean())
+    steps = task.steps(shipped[0].case.time_step)
+    assert result.trajectory.c_d.shape == (4 * 2 * steps, evaluate.PHASES)
+    np.testing.assert_allclose(result.episode.cd_controlled, result.trajectory.c_d[steps : 2 * steps, 0].mean())
+    np.testing.assert_allclose(result.long_run.cl_mean, result.trajectory.c_l[4 * steps :, 0].mean())
 
 
 def test_phases_are_an_eighth_of_a_period_apart(shipped):
@@ -52,4 +54,4 @@ def test_phases_are_an_eighth_of_a_period_apart(shipped):
     starts = baseline.phases(ops, base, 8)
     late = evaluate.play(JetFlows(*shipped, Task()), constant(0.0), [starts[2]], 1)
     shift = int(round(2 * base.shedding.period / shipped[0].case.time_step / 8))
-    np.testing.assert_array_equal(late.c_l[:, 0], result.c_l[shift : shift + 50, 0])
+    np.testing.assert_array_equal(late.c_l[:, 0], result.c_l[shift : shift + len(late.c_l), 0])
