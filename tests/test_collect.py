@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from manywake.learn import ppo, schedule
-from manywake.learn.collect import EpisodeFailed, Layout, layout
+from manywake.learn.collect import MOST_FAILURES, EpisodeFailed, Layout, layout
 from manywake.learn.engine import Processes, Threads
 from manywake.learn.settings import Learning
 
@@ -102,9 +102,16 @@ def test_a_fault_on_the_real_clock_loses_no_episode_and_no_environment(tmp_path,
 def test_an_episode_that_failed_during_an_update_is_still_on_its_way_for_the_checkpoint(tmp_path):
     """On the real clock nobody else knows of it: a run resumed without it would wait for ever."""
     toy = Toy(horizon=HORIZON, faults=((11, "raise"),), folder=tmp_path, times=99)
-    taken = collector(toy, learning=LEARNING, engine=Threads(1), layout=Layout(1, 1, 1), plan=None)
+    given_up = threading.Event()
+
+    def failed(failure):
+        if failure.attempt == MOST_FAILURES:
+            given_up.set()
+
+    taken = collector(toy, learning=LEARNING, engine=Threads(1), layout=Layout(1, 1, 1), plan=None, failed=failed)
     policy = ppo.snapshot(ppo.build(LEARNING, taken))
     taken.collect(policy)
+    assert given_up.wait(60)  # while the learner would be updating: all of it under version 0
     with pytest.raises(EpisodeFailed):
         taken.collect(dataclasses.replace(policy, version=1))
     assert taken.pending() == [(10, 0), (11, 0)]

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -75,26 +76,35 @@ def test_a_fault_costs_no_bit(tmp_path, engine, fault):
     assert len(lost) == 2
 
 
-def test_a_node_that_vanishes_in_mid_training_costs_no_bit(cluster):
+@dataclass(frozen=True)
+class Gated(Toy):
+    """From the twelfth episode on, a block says that it has begun, and waits for the gate to open."""
+
+    def play(self, policy, explorations):
+        if explorations[0].index >= 12:
+            (self.folder / f"begun-{explorations[0].index}").touch()
+            while not (self.folder / "open").exists():
+                time.sleep(0.02)
+        return super().play(policy, explorations)
+
+
+def test_a_node_that_vanishes_in_mid_training_costs_no_bit(cluster, tmp_path):
     made, nodes, engine = cluster
-    toy = Toy(horizon=HORIZON, seconds=0.5)
+    toy = Gated(horizon=HORIZON, folder=tmp_path)
     plan = schedule.unsynced(schedule.durations(0, LEARNING.episodes, 5.0, 0.05), 12, 8, 0.3)
     reference = digest(layout=Layout(12, 1, 12), plan=plan)
-    lost, seen, enough = [], [], threading.Event()
-
-    def count(episodes):
-        seen.extend(episodes)
-        if len(seen) >= 4:
-            enough.set()
+    lost = []
 
     def remove():
-        enough.wait()
+        while len(list(tmp_path.glob("begun-*"))) < 4:  # every core of both nodes plays
+            time.sleep(0.02)
         # a real end: the node's processes are killed while its workers play
         made.remove_node(nodes[0], allow_graceful=False)
+        (tmp_path / "open").touch()
 
     remover = threading.Thread(target=remove)
     remover.start()
-    found = digest(toy, engine=engine, layout=Layout(12, 4, 2), plan=plan, failed=lost.append, seen=count)
+    found = digest(toy, engine=engine, layout=Layout(12, 4, 2), plan=plan, failed=lost.append)
     remover.join()
     assert found == reference
     assert lost and all(failure.kind == "died" for failure in lost)
@@ -111,7 +121,7 @@ def test_time_in_the_queue_is_not_the_tasks(engine):
         assert future.result(60) is None  # the last of them waited for longer than it may take
 
 
-def test_an_address_that_nobody_answers_is_an_error():
+def test_an_address_is_refused_without_ray():
     with pytest.raises(ValueError, match="address: .* with engine processes, wanted it with --engine ray"):
         Collection(address="auto")
 

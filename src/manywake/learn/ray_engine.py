@@ -98,12 +98,11 @@ def _within(timeout: float | None, fn, *args: Any) -> Any:
 
     The clock starts with the task, however long that had to wait for a core, and needs no cooperation of fn.
     """
-    if timeout is not None:
-        faulthandler.dump_traceback_later(timeout, exit=True, file=_NOWHERE)
-    try:
+    if timeout is None:
         return call(fn, *args)
-    finally:
-        faulthandler.cancel_dump_traceback_later()
-
-
-_NOWHERE = open(os.devnull, "w")  # noqa: SIM115 - the watchdog writes to it whenever it likes
+    with open(os.devnull, "w") as nowhere:
+        faulthandler.dump_traceback_later(timeout, exit=True, file=nowhere)
+        try:
+            return call(fn, *args)
+        finally:
+            faulthandler.cancel_dump_traceback_later()
