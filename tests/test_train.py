@@ -40,7 +40,7 @@ def played(folder) -> list[tuple]:
 
 def final(folder) -> tuple:
     """All that the end of a training is: weights and moments, to the bit, and the episodes."""
-    _, weights, moments = runs.newest(runs.Run(folder))
+    _, _, weights, moments = runs.newest(runs.Run(folder))
     tensors = [tensor for state in moments["state"].values() for tensor in state.values()]
     return [t.numpy().tobytes() for t in [*weights.values(), *tensors]], played(folder)
 
@@ -122,7 +122,7 @@ def test_a_truncated_checkpoint_falls_back_to_the_one_before(tmp_path, whole):
     shutil.copytree(whole["synced"], tmp_path / "run")
     last = tmp_path / "run" / "checkpoints" / "last.zip"
     last.write_bytes(last.read_bytes()[: last.stat().st_size // 2])
-    assert runs.newest(runs.Run(tmp_path / "run"))[0].version == 3
+    assert runs.newest(runs.Run(tmp_path / "run"))[1].version == 3
     train.resume(tmp_path / "run", Threads(1), LAYOUT)
     assert final(tmp_path / "run") == final(whole["synced"])
 
@@ -219,7 +219,7 @@ def test_code_in_a_checkpoint_is_never_run(tmp_path, whole, member):
     with zipfile.ZipFile(tmp_path / "run" / "checkpoints" / "last.zip", "w") as archive:
         for name, data in content.items():
             archive.writestr(name, data)
-    version = runs.newest(runs.Run(tmp_path / "run"))[0].version
+    version = runs.newest(runs.Run(tmp_path / "run"))[1].version
     assert version == (4 if member == "data" else 3)
     assert not (tmp_path / "sprung").exists()
 

@@ -13,7 +13,6 @@ tuned: the same equations, hence the same numbers; everything linear is a produc
 is assembled, by kernels compiled with all optimisations; every matrix has the factorisation that suits it.
 """
 
-import argparse
 import os
 import sys
 
@@ -280,12 +279,8 @@ WAYS = {"as-written": as_written, "tuned": tuned}
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = shared.arguments(__doc__.splitlines()[0])
     parser.add_argument("way", choices=WAYS)
-    parser.add_argument("--steps", type=int, default=60)
-    parser.add_argument("--warm", type=int, default=20)
-    parser.add_argument("--statistics", type=int, nargs="?", const=3400, help="steps after the transient")
-    parser.add_argument("--transient", type=int, default=700)
     options = parser.parse_args()
     problem = Problem()
     step = WAYS[options.way](problem)

@@ -7,7 +7,6 @@ on Dirichlet boundaries are taken out of them, one scalar factor of the mass ser
 a few matrix products over all elements at once.
 """
 
-import argparse
 import os
 import sys
 
@@ -180,12 +179,7 @@ def _transposed_grad(u, n):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--steps", type=int, default=60)
-    parser.add_argument("--warm", type=int, default=20)
-    parser.add_argument("--statistics", type=int, nargs="?", const=3400, help="steps after the transient")
-    parser.add_argument("--transient", type=int, default=700)
-    options = parser.parse_args()
+    options = shared.arguments(__doc__.splitlines()[0]).parse_args()
     problem = Problem()
     result = {
         "version": skfem.__version__,

@@ -5,6 +5,7 @@ Whoever imports this gets one thread.
 Parameters are the paper's, in its code's units (D = 0.1, mean inflow 1, density 1).
 """
 
+import argparse
 import json
 import math
 import os
@@ -136,6 +137,16 @@ def statistics(step, steps: int, transient: int) -> dict:
         "periods": len(up) - 1,
         "transient_steps": transient,
     }
+
+
+def arguments(description: str) -> argparse.ArgumentParser:
+    """Return a parser of what every contestant can be told."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--steps", type=int, default=60)
+    parser.add_argument("--warm", type=int, default=20)
+    parser.add_argument("--statistics", type=int, nargs="?", const=3400, help="steps after the transient")
+    parser.add_argument("--transient", type=int, default=700)
+    return parser
 
 
 def finish(result: dict) -> None:

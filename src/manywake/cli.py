@@ -79,7 +79,7 @@ class Validate:
 
     case: CaseName = "cylinder-jets"
     recompute: bool = False
-    """Also recompute the reference of the controlled flows: twice as fine a mesh, half the time step (12 minutes)."""
+    """Also recompute the reference of the controlled flows: twice as fine a mesh, half the time step (10 minutes)."""
     json: Json = False
 
     def run(self) -> int:
@@ -368,7 +368,7 @@ class Resume:
         plan = _layout(how, settings.learning.update_period)
         engine = _engine(how, plan)
         try:
-            done = runs.newest(run)[0].version * settings.learning.update_period
+            done = runs.newest(run)[1].version * settings.learning.update_period
             return _watched(
                 lambda show: train.resume(self.run_folder, engine, plan, show, limit),
                 self.run_folder,

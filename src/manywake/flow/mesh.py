@@ -1,11 +1,11 @@
 """Triangle meshes of the channel, built by gmsh. Baselines (.npz) keep them."""
 
-import hashlib
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from manywake.flow import disk
 from manywake.flow.case import Case
 
 
@@ -28,10 +28,7 @@ class Mesh:
 
     def digest(self) -> str:
         """Return a hash of the mesh's content."""
-        sha = hashlib.sha256()
-        for array in (self.points, self.triangles, *(self.boundaries[k] for k in sorted(self.boundaries))):
-            sha.update(np.ascontiguousarray(array).tobytes())
-        return sha.hexdigest()
+        return disk.digest({"points": self.points, "triangles": self.triangles, **self.boundaries})
 
 
 def build(case: Case) -> Mesh:

@@ -82,9 +82,9 @@ class Check:
 
 
 def run(case: Case = CASES["cylinder-jets"], progress: Progress | None = None, recompute: bool = False) -> list[Check]:
-    """Return all checks of a case with two jets, in about two minutes on one core.
+    """Return all checks of a case with two jets, in about a minute on one core.
 
-    recompute: make the fine reference anew (some fifteen minutes) instead of reading the shipped one. Raises
+    recompute: make the fine reference anew (some ten minutes) instead of reading the shipped one. Raises
     ValueError when the shipped one is of another mesh, Reynolds number or time step.
     """
     report = progress or (lambda what, share: None)
@@ -243,7 +243,7 @@ def changes(record: np.ndarray, time_step: float) -> dict[str, dict[str, float]]
 
 
 def fine_reference(case: Case = CASES["cylinder-jets"], progress: Progress | None = None) -> dict[str, Any]:
-    """Compute the controlled flows on the refined mesh at half the time step, second order in time (15 minutes).
+    """Compute the controlled flows on the refined mesh at half the time step, second order in time (10 minutes).
 
     What is shipped was written by `validate.REFERENCE.write_text(json.dumps(validate.fine_reference(), indent=1))`.
     """
@@ -272,7 +272,7 @@ def shipped_reference(case: Case, base: Baseline) -> dict[str, Any]:
         if reference[key] != wanted:
             raise ValueError(
                 f"controlled reference: got one for {key} {reference[key]}, wanted {wanted}; "
-                "make one for this case with recompute=True (some fifteen minutes)"
+                "make one for this case with recompute=True (some ten minutes)"
             )
     return reference
 

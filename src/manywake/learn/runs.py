@@ -146,8 +146,8 @@ def checkpoint(run: Run, model: EpisodicPPO, progress: Progress) -> None:
     save(model, progress, last)
 
 
-def newest(run: Run) -> tuple[Progress, dict[str, Any], dict[str, Any]]:
-    """Return progress, weights and the optimiser's state of the newest checkpoint that is whole.
+def newest(run: Run) -> tuple[str, Progress, dict[str, Any], dict[str, Any]]:
+    """Return name, progress, weights and the optimiser's state of the newest checkpoint that is whole.
 
     Tensors and plain data are read, no code. Raises ValueError when there is none.
     """
@@ -165,16 +165,15 @@ def newest(run: Run) -> tuple[Progress, dict[str, Any], dict[str, Any]]:
             problems.append(f"{path.name}: {error}")
             continue
         data["pending"] = [tuple(pair) for pair in data["pending"]]
-        return Progress(**data), weights, moments
+        return name, Progress(**data), weights, moments
     raise ValueError(f"run: {run.folder} has no whole checkpoint ({'; '.join(problems)}); it must be trained anew")
 
 
 def restore(run: Run, model: EpisodicPPO) -> Progress:
     """Put the newest whole checkpoint into a model; return its progress."""
-    progress, weights, moments = newest(run)
-    last = run.checkpoints / "last.zip"
-    if last.exists() and not zipfile.is_zipfile(last):
-        last.unlink()  # else the next checkpoint would put it in the place of the whole one
+    name, progress, weights, moments = newest(run)
+    if name == "previous":  # a damaged last would be put in the place of the whole one by the next checkpoint
+        (run.checkpoints / "last.zip").unlink(missing_ok=True)
     model.policy.load_state_dict(weights)
     model.policy.optimizer.load_state_dict(moments)
     model.version = progress.version

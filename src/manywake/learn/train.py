@@ -129,10 +129,7 @@ class Watch:
             "version": episode.policy_version,
             "update": update,
             "staleness": update - episode.policy_version,
-            "length": len(episode.rewards),
-            "reward": float(episode.rewards.sum()),
-            "terminated": int(episode.terminated),
-            **self.simulation.summary(episode),
+            **_played(self.simulation, episode),
             "flow_s": round(episode.flow_seconds, 4),
             "policy_s": round(episode.policy_seconds, 4),
             "transport_s": round(episode.transport_seconds, 4),
@@ -172,6 +169,16 @@ class Watch:
         self.progress.version, self.progress.pending = model.version, self.collector.pending()
         self.progress.wall_s = time.perf_counter() - self.started
         runs.checkpoint(self.run, model, self.progress)
+
+
+def _played(simulation: Simulation, episode: Episode) -> dict[str, float]:
+    """Return what an episode's row has of the episode itself: all but who used it when, and the times."""
+    return {
+        "length": len(episode.rewards),
+        "reward": float(episode.rewards.sum()),
+        "terminated": int(episode.terminated),
+        **simulation.summary(episode),
+    }
 
 
 def plan(settings: Settings, layout: collect.Layout) -> Plan | None:
@@ -249,18 +256,8 @@ def resume(
         for name in ("episodes.csv", "updates.csv"):
             runs.cut(folder / name, progress.version)
         runs.cut(folder / "failures.csv", None)
-        if progress.version * settings.learning.update_period < settings.learning.episodes:
-            collector.resume(progress.version, _pending(collector, progress), run.version)
+        collector.resume(progress.version, progress.pending, run.version)
         return _learn(Watch(run, settings, collector, progress), model, show)
-
-
-def _pending(collector: Collector, progress: Progress) -> list[tuple[int, int]]:
-    """Return (episode, version) of what had been begun: by the plan, or as written down on the real clock."""
-    plan, version = collector.plan, progress.version
-    if plan is None:
-        return progress.pending
-    begun = np.flatnonzero((plan.version < version) & (plan.update >= version))
-    return [(int(k), int(plan.version[k])) for k in begun]
 
 
 def _collector(settings: Settings, simulation: Simulation, engine: Engine, layout: collect.Layout) -> Collector:
@@ -331,12 +328,7 @@ def replay(run: Run, index: int) -> Replay:
     version = int(recorded["version"]) if recorded else _begun_with(run, settings, index)
     exploration = explore(settings.seed, index, simulation.horizon, simulation.spaces()[1].shape[0])
     episode = simulation.play(run.version(version), [exploration])[0]
-    numbers: dict[str, float] = {
-        "length": len(episode.rewards),
-        "reward": float(episode.rewards.sum()),
-        "terminated": int(episode.terminated),
-        **simulation.summary(episode),
-    }
+    numbers = _played(simulation, episode)
     same = (
         all(recorded[name] == str(value) for name, value in numbers.items() if name in recorded) if recorded else None
     )
