@@ -1,11 +1,15 @@
 """What several test files need: the shipped case, assembled once, and a tiny channel around a cylinder."""
 
+from functools import partial
+from unittest import mock
+
 import numpy as np
 import pytest
 
 from manywake.flow import baseline, case, operators
 from manywake.flow.case import BDF2, Case
 from manywake.flow.mesh import Mesh
+from manywake.flow.operators import Operators
 
 
 @pytest.fixture(scope="session")
@@ -55,6 +59,13 @@ def tiny_mesh(chosen: Case = TINY, layers: int = 4) -> Mesh:
         assert side != "wall" or min(abs(y - y0), abs(y - y1)) < 1e-9
         boundaries.setdefault(side, []).append((a, b))
     return Mesh(points, np.array(triangles), {name: np.array(facets) for name, facets in boundaries.items()})
+
+
+def in_doubles(chosen: Case, mesh: Mesh, mean: np.ndarray | None = None) -> Operators:
+    """Return operators whose increments and residuals are doubles too, for comparison."""
+    assemble = partial(operators.from_boundary_data, precision=np.float64)
+    with mock.patch.object(operators, "from_boundary_data", assemble):
+        return operators.assemble(chosen, mesh, mean)
 
 
 @pytest.fixture(scope="session")

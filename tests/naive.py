@@ -1,13 +1,13 @@
 """The slow, obvious twin of every kernel: plain NumPy on dense matrices, scikit-fem forms, one flow at a time.
 
 A lane array becomes an ordinary one here, the lane as its last axis. `step` is the whole time step of
-docs/numerics.md, eq. 4-14, in scikit-fem's numbering and with dense solves.
+docs/numerics.md, eq. 4-14, in scikit-fem's numbering, with dense solves, in doubles, and for the new velocity itself
+and not for its increment.
 """
 
 import numpy as np
 import scipy.sparse as sp
 import skfem
-from scipy.linalg import solve_triangular
 
 
 def dense(rows, columns, component=None):
@@ -55,9 +55,9 @@ def damping(case, space):
     return form.assemble(basis, nu=viscosity)
 
 
-def convection(space, e, mean, out):
-    """Subtract `convection_form` of every lane from out (n, 2, lanes)."""
-    return out - np.stack([convection_form(space, e[:, :, b], mean) for b in range(e.shape[-1])], axis=-1)
+def convection(space, e, out):
+    """Subtract `convection_form` of every lane, advected with itself, from out (n, 2, lanes)."""
+    return out - np.stack([convection_form(space, e[:, :, b], 0.0) for b in range(e.shape[-1])], axis=-1)
 
 
 def blend(weights, u, u_old):
@@ -65,63 +65,42 @@ def blend(weights, u, u_old):
     return weights[0] * u + weights[1] * u_old
 
 
-def momentum_forward(R, u, u_old, G, p, L, y):
-    """Return y with its first rows replaced by L^-1 (y + R0 u + R1 u_old + G p).
-
-    R, G: pairs of matrices, L: strict lower part.
-    """
-    rows, y = len(L), y.copy()
-    for b in range(y.shape[-1]):
+def linear_terms(H, e, d, G, p, out):
+    """Return out with its first rows replaced by H0 e + H1 d + G p. H, G: pairs of matrices."""
+    out = out.copy()
+    for b in range(out.shape[-1]):
         for c in range(2):
-            right = y[:rows, c, b] + R[0] @ u[:, c, b] + R[1] @ u_old[:, c, b] + G[c] @ p[:, 0, b]
-            y[:rows, c, b] = solve_triangular(L + np.eye(rows), right, lower=True, unit_diagonal=True)
-    return y
+            out[: len(H[0]), c, b] = H[0] @ e[:, c, b] + H[1] @ d[:, c, b] + G[c] @ p[:, 0, b]
+    return out
 
 
-def momentum_backward(U, inverse_diagonal, y):
-    """Return y with its first rows replaced by (D (I + U))^-1 y; U: strict upper part."""
-    rows, y = len(U), y.copy()
-    matrix = np.diag(1.0 / inverse_diagonal) @ (np.eye(rows) + U)
+def subtract_rows(rows, matrix, x, out):
+    """Return out with the rows of matrix times x subtracted from the rows of those numbers."""
+    out = out.copy()
+    for r, i in enumerate(rows):
+        for j in range(len(x)):
+            out[i] = out[i] - matrix[r, j] * x[j]
+    return out
+
+
+def solve(matrix, y):
+    """Return y with its first rows replaced by the solution for them."""
+    rows, y = len(matrix), y.copy()
     for b in range(y.shape[-1]):
         y[:rows, :, b] = np.linalg.solve(matrix, y[:rows, :, b])
     return y
 
 
-def pressure_solve(D, u, L, U, inverse_diagonal):
-    """Return the solution (rows, lanes) of (I + L) D (I + U) phi = D_x u_x + D_y u_y."""
-    one = np.eye(len(L))
-    matrix = (one + L) @ np.diag(1.0 / inverse_diagonal) @ (one + U)
-    return np.linalg.solve(matrix, D[0] @ u[:, 0] + D[1] @ u[:, 1])
+def divergence(D, u, out):
+    """Return out with its first rows replaced by D_x u_x + D_y u_y. D: pair of matrices."""
+    out = out.copy()
+    out[: len(D[0]), 0] = D[0] @ u[:, 0] + D[1] @ u[:, 1]
+    return out
 
 
 def product(matrix, x, component):
     """Return matrix times one component of x, (rows, 1, lanes)."""
     return (matrix @ x[:, component])[:, None]
-
-
-def add_product(column, factor, value, x, row, out):
-    """Return out with factor times the sums over k of value[k, c] x[column[k], c] added to out[row, c]."""
-    out = out.copy()
-    for k, j in enumerate(column):
-        for c in range(2):
-            out[row, c] = out[row, c] + factor * value[k, c] * x[j, c]
-    return out
-
-
-def add_scaled(rows, value, x, step, jet, out):
-    """Return out with value[k, c] x[step, jet] added to out[rows[k], c]."""
-    out = out.copy()
-    for k, i in enumerate(rows):
-        for c in range(2):
-            out[i, c] = out[i, c] + value[k, c] * x[step, jet]
-    return out
-
-
-def fill(value, out):
-    """Return out with its first rows set to `value` in every lane."""
-    out = out.copy()
-    out[: len(value)] = value[:, :, None]
-    return out
 
 
 def step(case, space, start, jets, profiles, boundaries, mean):
@@ -137,7 +116,7 @@ def step(case, space, start, jets, profiles, boundaries, mean):
     a, theta = scheme.new, scheme.implicit
 
     w = blend(scheme.history, start.u, start.u_old)
-    e = blend(scheme.extrapolation, start.u, start.u_old)
+    e = blend((1 + scheme.ahead, -scheme.ahead), start.u, start.u_old)
     p_star = start.p + scheme.pressure[0] * start.phi + scheme.pressure[1] * start.phi_old
     S = damping(case, space)
     C = convection_form(space, e, mean) - S @ e
@@ -166,11 +145,47 @@ def step(case, space, start, jets, profiles, boundaries, mean):
     return u, p, phi, 2.0 * force / case.diameter
 
 
-def matrix_of(factors):
-    """Return (I + L) D (I + U) as a dense matrix."""
-    rows = len(factors.inverse_diagonal)
-    L, U = dense(factors.lower, rows), dense(factors.upper, rows)
-    return (np.eye(rows) + L) @ np.diag(1.0 / factors.inverse_diagonal) @ (np.eye(rows) + U)
+def triangles(panels):
+    """Return L, D and U of panels as dense matrices, unit diagonals included."""
+    rows = len(panels.inverse_diagonal)
+    L, U = np.eye(rows), np.eye(rows)
+    upper = panels.upper if len(panels.upper) else panels.lower
+    for p in range(len(panels.first) - 1):
+        columns = range(int(panels.first[p]), int(panels.first[p + 1]))
+        k = int(panels.lower_start[p])
+        for i in panels.row[panels.row_start[p] : panels.row_start[p + 1]]:
+            for j in columns:
+                L[i, j], U[j, i] = -panels.lower[k], -upper[k]
+                k += 1
+        assert k == panels.lower_start[p + 1]
+        k = 0
+        for i in range(1, 4):
+            for j in range(i):
+                if i < len(columns):
+                    L[columns[i], columns[j]] = -panels.lower_corner[p, k]
+                    U[columns[j], columns[i]] = -panels.upper_corner[p, k]
+                k += 1
+    return L, np.diag(1.0 / panels.inverse_diagonal.astype(float)), U
+
+
+def matrix_of(panels):
+    """Return L D U as a dense matrix."""
+    L, D, U = triangles(panels)
+    return L @ D @ U
+
+
+def cost(below, first, end):
+    """Return what a panel of the columns first ... end costs, and the rows below it."""
+    rows = sorted({int(i) for column in below[first:end] for i in column if i >= end})
+    return len(rows) * (1.4 + 0.65 * (end - first)) + 10 + 4 * (end - first), rows
+
+
+def cheapest_cut(below, first=0):
+    """Return the least cost of cutting the columns from `first` on into panels of up to four: all cuts are tried."""
+    if first == len(below):
+        return 0.0
+    ends = range(first + 1, min(first + 4, len(below)) + 1)
+    return min(cost(below, first, end)[0] + cheapest_cut(below, end) for end in ends)
 
 
 def random_matrix(rng, rows, columns, density=0.3):

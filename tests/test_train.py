@@ -72,6 +72,18 @@ def stopped_after(folder, updates, collection=Collection(), layout=LAYOUT):  # n
         train.train(folder, settings(collection), Threads(1), layout, show)
 
 
+def test_training_stops_when_patience_is_out_and_not_before(tmp_path):
+    folder, asked = tmp_path / "run", settings()
+    asked = dataclasses.replace(asked, learning=dataclasses.replace(LEARNING, episodes=64, patience=2))
+    trained = train.train(folder, asked, Threads(1), LAYOUT)
+    rewards = [float(row["reward"]) for row in runs.rows(folder / "episodes.csv")]
+    means = [sum(rewards[k : k + 4]) / 4 for k in range(0, len(rewards), 4)]
+    waited = [update - max(range(update + 1), key=means.__getitem__) for update in range(len(means))]
+    assert trained.episodes == len(rewards) < 64
+    assert waited[-1] == 2 and max(waited[:-1]) < 2
+    assert train.resume(folder, Threads(1), LAYOUT).policy_sha256 == trained.policy_sha256
+
+
 @pytest.mark.parametrize("updates", [0, 1, 3])
 def test_a_synced_training_goes_on_to_the_same_bits(tmp_path, whole, updates):
     stopped_after(tmp_path / "run", updates)

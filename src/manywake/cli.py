@@ -407,12 +407,13 @@ class ReplayCommand:
 class Bench:
     """Measure, with the scripts in benchmarks/.
 
-    step: milliseconds per flow and time step, forces, probes and control law included. scaling: speed-up of collection
-    with the number of environments (half an hour, mostly asleep). peers: the paper's scheme in FEniCS, as written and
-    tuned, and in scikit-fem, beside ours (what is installed; ten minutes).
+    step: milliseconds per flow and time step, forces, probes and control law included. roofline: each kernel beside
+    what this core's arithmetic and memory allow. cost: time and memory of a flow against the number of triangles.
+    scaling: speed-up of collection with the number of environments (half an hour, mostly asleep). peers: the paper's
+    scheme in FEniCS, as written and tuned, and in scikit-fem, beside ours (what is installed; ten minutes).
     """
 
-    what: Annotated[Literal["step", "scaling", "peers"], tyro.conf.Positional]
+    what: Annotated[Literal["step", "roofline", "cost", "scaling", "peers"], tyro.conf.Positional]
     lanes: tuple[int, ...] = (1, 8, 16, 32)
     """Batch widths that step measures."""
     json: Json = False

@@ -86,7 +86,8 @@ class FlowBatch:
 
 def _empty(ops: Operators, width: int) -> State:
     n, m = len(ops.velocity_order), len(ops.pressure_order)
-    return State(*(simd.zeros(shape, width) for shape in ((n, 2), (n, 2), (m, 1), (m, 1), (m, 1))))
+    u, u_old, p = (simd.zeros(shape, width) for shape in ((n, 2), (n, 2), (m, 1)))
+    return State(u, u_old, p, *(simd.zeros((m, 1), width, ops.precision) for _ in range(2)))
 
 
 def _write(ops: Operators, state: State, lane: int, start: Start) -> None:

@@ -77,12 +77,13 @@ class Scheme:
     """Weight of u at t + dt in the time derivative."""
     history: tuple[float, float]
     """Minus the weights of u at t and t - dt in the time derivative."""
-    extrapolation: tuple[float, float]
-    """Weights of u at t and t - dt in the velocity that is advected explicitly."""
+    ahead: float
+    """Steps of the last increment by which u at t is extrapolated to the velocity e that the residual is of: e = u +
+    ahead (u - u_old)."""
     pressure: tuple[float, float]
     """Weights of the last two pressure increments in the pressure of the momentum equation."""
     implicit: float
-    """Share of the viscous term taken at t + dt."""
+    """Share of the viscous term's increment taken at t + dt; 1/2 is Crank-Nicolson."""
     mean: bool = False
     """Whether advection by the mean flow is taken at t + dt too, so that only the fluctuation is explicit."""
     damping: float = 0.0
@@ -90,11 +91,11 @@ class Scheme:
     peak velocity of a jet at FULL_RATE."""
 
 
-BDF2 = Scheme("bdf2", 1.5, (2.0, -0.5), (2.0, -1.0), (4 / 3, -1 / 3), 1.0)
+BDF2 = Scheme("bdf2", 1.5, (2.0, -0.5), 1.0, (4 / 3, -1 / 3), 1.0)
 """Second order: BDF2 with extrapolated explicit convection."""
-BDF2_MEAN = Scheme("bdf2-mean", 1.5, (2.0, -0.5), (2.0, -1.0), (4 / 3, -1 / 3), 1.0, mean=True, damping=0.5)
+BDF2_MEAN = Scheme("bdf2-mean", 1.5, (2.0, -0.5), 1.0, (4 / 3, -1 / 3), 1.0, mean=True, damping=0.5)
 """The default. Second order as BDF2, but the uncontrolled flow's mean advects implicitly, which allows larger steps."""
-GODA = Scheme("goda", 1.0, (1.0, 0.0), (1.0, 0.0), (1.0, 0.0), 0.5)
+GODA = Scheme("goda", 1.0, (1.0, 0.0), 0.0, (1.0, 0.0), 0.5)
 """The paper's first-order scheme: forward Euler convection, Crank-Nicolson viscosity (Goda 1979)."""
 
 

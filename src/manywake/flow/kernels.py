@@ -2,7 +2,8 @@
 
 Every kernel advances all lanes of a lane array (`simd.lanes`) at once; lanes never meet, sums have one fixed order,
 and each has its slow, obvious twin in tests/naive.py. Sparse rows are (`start`, `column`, `value`) as in CSR.
-A velocity array is (n, 2) rows of lanes, a pressure array (m, 1). Equation numbers: docs/numerics.md.
+A velocity array is `pairs` here, (n, 1) rows that hold the lanes of both components; a pressure array is (m, 1).
+Every kernel works in the precision of the arrays it is given. Equation numbers: docs/numerics.md.
 """
 
 import hashlib
@@ -14,7 +15,7 @@ import numpy as np
 from platformdirs import user_cache_path
 
 from manywake.flow import simd
-from manywake.flow.simd import fma, load, mul, splat, store
+from manywake.flow.simd import add, fma, high, join, load, low, mul, rounded, splat, store, sub
 
 
 def _cache_folder() -> str:
@@ -56,170 +57,246 @@ def _quadrature() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 CORNER, NODE, WEIGHT = _quadrature()
-TEST = NODE * WEIGHT[:, None]
+
+# One row of NODE, CORNER, WEIGHT for each orbit of the rule: the centroid, and the first point of each three that
+# differ by a turn of the triangle. other: P2 function of the two corners that the point does not belong to; own: what
+# that of its own corner has beyond it. next: of the edges at that corner; far: what that of the opposite has beyond it.
+_C_CORNER, _C_EDGE, _C_WEIGHT = (float(x) for x in (NODE[0, 0], NODE[0, 3], WEIGHT[0]))
+_A_OTHER, _A_OWN, _A_NEXT, _A_FAR = (
+    float(x) for x in (NODE[1, 1], NODE[1, 0] - NODE[1, 1], NODE[1, 3], NODE[1, 4] - NODE[1, 3])
+)
+_A_SLOPE, _A_TURN, _A_WEIGHT = (float(x) for x in (CORNER[1, 1], CORNER[1, 0] - CORNER[1, 1], WEIGHT[1]))
+_B_OTHER, _B_OWN, _B_NEXT, _B_FAR = (
+    float(x) for x in (NODE[4, 1], NODE[4, 0] - NODE[4, 1], NODE[4, 3], NODE[4, 4] - NODE[4, 3])
+)
+_B_SLOPE, _B_TURN, _B_WEIGHT = (float(x) for x in (CORNER[4, 1], CORNER[4, 0] - CORNER[4, 1], WEIGHT[4]))
 
 
 @kernel
-def _at(table, q, a, b, c, d, e, f):
-    """The P2 function with nodal values a ... f, at quadrature point q."""
-    return fma(
-        table[q, 5],
-        f,
-        fma(table[q, 4], e, fma(table[q, 3], d, fma(table[q, 2], c, fma(table[q, 1], b, mul(table[q, 0], a))))),
-    )
+def _along(inverse, t, q, weight, value, slope_xi, slope_eta):
+    """Minus the weight times (value . grad) of the field with these slopes, at one quadrature point."""
+    u, v = low(value), high(value)
+    xi = fma(-weight * inverse[t, q, 1], v, mul(-weight * inverse[t, q, 0], u))
+    eta = fma(-weight * inverse[t, q, 3], v, mul(-weight * inverse[t, q, 2], u))
+    return fma(join(eta, eta), slope_eta, mul(join(xi, xi), slope_xi))
 
 
 @kernel
-def _mix(q, a, b, c):
-    """The P1 function with corner values a, b, c, at quadrature point q."""
-    return fma(CORNER[q, 2], c, fma(CORNER[q, 1], b, mul(CORNER[q, 0], a)))
-
-
-@kernel
-def _slopes(a, b, c, d, e, f):
-    """Derivatives of a P2 function along the two reference directions, at the three corners."""
-    xi0 = fma(4.0, d, fma(-3.0, a, mul(-1.0, b)))
-    xi1 = fma(-4.0, d, fma(3.0, b, a))
-    xi2 = fma(-4.0, f, fma(4.0, e, fma(-1.0, b, a)))
-    eta0 = fma(4.0, f, fma(-3.0, a, mul(-1.0, c)))
-    eta1 = fma(4.0, e, fma(-4.0, d, fma(-1.0, c, a)))
-    eta2 = fma(-4.0, f, fma(3.0, c, a))
-    return xi0, xi1, xi2, eta0, eta1, eta2
-
-
-@kernel
-def _blend(a, x, b, y, i, c):
-    """The blend a x + b y at row (i, c)."""
-    return fma(a, load(x, i, c), mul(b, load(y, i, c)))
-
-
-@kernel
-def convection(nodes, inverse, wind, e0, u_now, e1, u_old, out):
-    """Subtract (((e - U) . grad) e, v) from `out`, for e = e0 u_now + e1 u_old and every P2 test function v (eq. 6, 8).
+def convection(nodes, inverse, e, out):
+    """Subtract ((e . grad) e, v) from `out` for every P2 test function v (eq. 8).
 
     nodes: (elements, 6). inverse: (elements, q, 4), the inverse Jacobian times its determinant, row by row, at each
-    quadrature point of curved triangles (q = 7), once for straight ones (q = 1). wind: (elements, 7, 2), the same
-    times U at the quadrature points.
+    quadrature point of curved triangles (q = 7), once for straight ones (q = 1). e, out: (n, 1) pairs. The three
+    points of an orbit share the sums over corners and over edges, which is a third of the arithmetic.
     """
     curved = 1 if inverse.shape[1] > 1 else 0
     for t in range(len(nodes)):
         i0, i1, i2 = nodes[t, 0], nodes[t, 1], nodes[t, 2]
         i3, i4, i5 = nodes[t, 3], nodes[t, 4], nodes[t, 5]
-        u0, v0 = (
-            _blend(e0, u_now, e1, u_old, i0, 0),
-            _blend(e0, u_now, e1, u_old, i0, 1),
-        )
-        u1, v1 = (
-            _blend(e0, u_now, e1, u_old, i1, 0),
-            _blend(e0, u_now, e1, u_old, i1, 1),
-        )
-        u2, v2 = (
-            _blend(e0, u_now, e1, u_old, i2, 0),
-            _blend(e0, u_now, e1, u_old, i2, 1),
-        )
-        u3, v3 = (
-            _blend(e0, u_now, e1, u_old, i3, 0),
-            _blend(e0, u_now, e1, u_old, i3, 1),
-        )
-        u4, v4 = (
-            _blend(e0, u_now, e1, u_old, i4, 0),
-            _blend(e0, u_now, e1, u_old, i4, 1),
-        )
-        u5, v5 = (
-            _blend(e0, u_now, e1, u_old, i5, 0),
-            _blend(e0, u_now, e1, u_old, i5, 1),
-        )
-        ux0, ux1, ux2, ue0, ue1, ue2 = _slopes(u0, u1, u2, u3, u4, u5)
-        vx0, vx1, vx2, ve0, ve1, ve2 = _slopes(v0, v1, v2, v3, v4, v5)
-        a0, a1, a2, a3, a4, a5 = (
-            load(out, i0, 0), load(out, i1, 0), load(out, i2, 0), load(out, i3, 0), load(out, i4, 0), load(out, i5, 0),
+        a, b, c = load(e, i0, 0), load(e, i1, 0), load(e, i2, 0)
+        ab, bc, ca = load(e, i3, 0), load(e, i4, 0), load(e, i5, 0)
+        corners, edges = add(add(a, b), c), add(add(ab, bc), ca)
+
+        # derivatives along the two reference directions: at the three corners, and their sums
+        xi_a = fma(4.0, ab, fma(-3.0, a, mul(-1.0, b)))
+        xi_b = fma(-4.0, ab, fma(3.0, b, a))
+        xi_c = fma(-4.0, ca, fma(4.0, bc, sub(a, b)))
+        eta_a = fma(4.0, ca, fma(-3.0, a, mul(-1.0, c)))
+        eta_b = fma(4.0, bc, fma(-4.0, ab, sub(a, c)))
+        eta_c = fma(-4.0, ca, fma(3.0, c, a))
+        xi, eta = add(add(xi_a, xi_b), xi_c), add(add(eta_a, eta_b), eta_c)
+
+        value = fma(_C_EDGE, edges, mul(_C_CORNER, corners))
+        f = _along(inverse, t, 0, _C_WEIGHT, value, mul(1.0 / 3.0, xi), mul(1.0 / 3.0, eta))
+        at_corners, at_edges = mul(_C_CORNER, f), mul(_C_EDGE, f)
+
+        base = fma(_A_NEXT, edges, mul(_A_OTHER, corners))
+        base_xi, base_eta = mul(_A_SLOPE, xi), mul(_A_SLOPE, eta)
+        fa = _along(
+            inverse, t, curved * 1, _A_WEIGHT, fma(_A_FAR, bc, fma(_A_OWN, a, base)),
+            fma(_A_TURN, xi_a, base_xi), fma(_A_TURN, eta_a, base_eta),
         )  # fmt: skip
-        b0, b1, b2, b3, b4, b5 = (
-            load(out, i0, 1), load(out, i1, 1), load(out, i2, 1), load(out, i3, 1), load(out, i4, 1), load(out, i5, 1),
+        fb = _along(
+            inverse, t, curved * 2, _A_WEIGHT, fma(_A_FAR, ca, fma(_A_OWN, b, base)),
+            fma(_A_TURN, xi_b, base_xi), fma(_A_TURN, eta_b, base_eta),
         )  # fmt: skip
-        for q in range(7):
-            u = _at(NODE, q, u0, u1, u2, u3, u4, u5)
-            v = _at(NODE, q, v0, v1, v2, v3, v4, v5)
-            g = curved * q
-            along_xi = fma(-inverse[t, g, 1], v, fma(-inverse[t, g, 0], u, wind[t, q, 0]))
-            along_eta = fma(-inverse[t, g, 3], v, fma(-inverse[t, g, 2], u, wind[t, q, 1]))
-            cu = fma(along_eta, _mix(q, ue0, ue1, ue2), mul(along_xi, _mix(q, ux0, ux1, ux2)))
-            cv = fma(along_eta, _mix(q, ve0, ve1, ve2), mul(along_xi, _mix(q, vx0, vx1, vx2)))
-            a0, b0 = fma(TEST[q, 0], cu, a0), fma(TEST[q, 0], cv, b0)
-            a1, b1 = fma(TEST[q, 1], cu, a1), fma(TEST[q, 1], cv, b1)
-            a2, b2 = fma(TEST[q, 2], cu, a2), fma(TEST[q, 2], cv, b2)
-            a3, b3 = fma(TEST[q, 3], cu, a3), fma(TEST[q, 3], cv, b3)
-            a4, b4 = fma(TEST[q, 4], cu, a4), fma(TEST[q, 4], cv, b4)
-            a5, b5 = fma(TEST[q, 5], cu, a5), fma(TEST[q, 5], cv, b5)
-        store(out, i0, 0, a0)
-        store(out, i1, 0, a1)
-        store(out, i2, 0, a2)
-        store(out, i3, 0, a3)
-        store(out, i4, 0, a4)
-        store(out, i5, 0, a5)
-        store(out, i0, 1, b0)
-        store(out, i1, 1, b1)
-        store(out, i2, 1, b2)
-        store(out, i3, 1, b3)
-        store(out, i4, 1, b4)
-        store(out, i5, 1, b5)
+        fc = _along(
+            inverse, t, curved * 3, _A_WEIGHT, fma(_A_FAR, ab, fma(_A_OWN, c, base)),
+            fma(_A_TURN, xi_c, base_xi), fma(_A_TURN, eta_c, base_eta),
+        )  # fmt: skip
+        f = add(add(fa, fb), fc)
+        at_corners, at_edges = fma(_A_OTHER, f, at_corners), fma(_A_NEXT, f, at_edges)
+        ya, yb, yc = mul(_A_OWN, fa), mul(_A_OWN, fb), mul(_A_OWN, fc)
+        ybc, yca, yab = mul(_A_FAR, fa), mul(_A_FAR, fb), mul(_A_FAR, fc)
+
+        base = fma(_B_NEXT, edges, mul(_B_OTHER, corners))
+        base_xi, base_eta = mul(_B_SLOPE, xi), mul(_B_SLOPE, eta)
+        fa = _along(
+            inverse, t, curved * 4, _B_WEIGHT, fma(_B_FAR, bc, fma(_B_OWN, a, base)),
+            fma(_B_TURN, xi_a, base_xi), fma(_B_TURN, eta_a, base_eta),
+        )  # fmt: skip
+        fb = _along(
+            inverse, t, curved * 5, _B_WEIGHT, fma(_B_FAR, ca, fma(_B_OWN, b, base)),
+            fma(_B_TURN, xi_b, base_xi), fma(_B_TURN, eta_b, base_eta),
+        )  # fmt: skip
+        fc = _along(
+            inverse, t, curved * 6, _B_WEIGHT, fma(_B_FAR, ab, fma(_B_OWN, c, base)),
+            fma(_B_TURN, xi_c, base_xi), fma(_B_TURN, eta_c, base_eta),
+        )  # fmt: skip
+        f = add(add(fa, fb), fc)
+        at_corners, at_edges = fma(_B_OTHER, f, at_corners), fma(_B_NEXT, f, at_edges)
+
+        store(out, i0, 0, add(load(out, i0, 0), fma(_B_OWN, fa, add(ya, at_corners))))
+        store(out, i1, 0, add(load(out, i1, 0), fma(_B_OWN, fb, add(yb, at_corners))))
+        store(out, i2, 0, add(load(out, i2, 0), fma(_B_OWN, fc, add(yc, at_corners))))
+        store(out, i3, 0, add(load(out, i3, 0), fma(_B_FAR, fc, add(yab, at_edges))))
+        store(out, i4, 0, add(load(out, i4, 0), fma(_B_FAR, fa, add(ybc, at_edges))))
+        store(out, i5, 0, add(load(out, i5, 0), fma(_B_FAR, fb, add(yca, at_edges))))
 
 
 @kernel
-def momentum_forward(
-    r_start, r_column, r_value, u, u_old, g_start, g_column, g_value, p, l_start, l_column, l_value, y
-):
-    """Add R0 u + R1 u_old + G p to the first rows of y, and solve L y = y on the way (eq. 9).
+def linear_terms(start, column, value, e, d, g_start, g_column, g_value, p, out):
+    """Set the first rows of `out` to H0 e + H1 d + G p (eq. 9).
 
-    r_value: (nnz, 2), the entries of R0 and R1.
+    value: (nnz, 2), the entries of H0 and H1. g_value: (nnz, 2), those of the two components of G. e, d, out: pairs.
     """
-    for i in range(len(r_start) - 1):
-        sx, sy = load(y, i, 0), load(y, i, 1)
-        for k in range(r_start[i], r_start[i + 1]):
-            j, now, old = r_column[k], r_value[k, 0], r_value[k, 1]
-            sx = fma(now, load(u, j, 0), fma(old, load(u_old, j, 0), sx))
-            sy = fma(now, load(u, j, 1), fma(old, load(u_old, j, 1), sy))
+    for i in range(len(start) - 1):
+        s, t = splat(0.0, out), splat(0.0, out)
+        for k in range(start[i], start[i + 1]):
+            j = column[k]
+            s, t = fma(value[k, 0], load(e, j, 0), s), fma(value[k, 1], load(d, j, 0), t)
+        x, y = splat(0.0, p), splat(0.0, p)
         for k in range(g_start[i], g_start[i + 1]):
             q = load(p, g_column[k], 0)
-            sx, sy = fma(g_value[k, 0], q, sx), fma(g_value[k, 1], q, sy)
-        for k in range(l_start[i], l_start[i + 1]):
-            j, m = l_column[k], -l_value[k]
-            sx, sy = fma(m, load(y, j, 0), sx), fma(m, load(y, j, 1), sy)
-        store(y, i, 0, sx)
-        store(y, i, 1, sy)
+            x, y = fma(g_value[k, 0], q, x), fma(g_value[k, 1], q, y)
+        store(out, i, 0, add(add(s, t), join(x, y)))
 
 
 @kernel
-def momentum_backward(start, column, value, inverse_diagonal, y):
-    """Solve D U y = y for the first rows of y, U of unit diagonal (eq. 9)."""
-    for back in range(len(inverse_diagonal)):
-        i = len(inverse_diagonal) - 1 - back
-        u, v = mul(inverse_diagonal[i], load(y, i, 0)), mul(inverse_diagonal[i], load(y, i, 1))
+def subtract_rows(rows, start, column, value, x, out):
+    """Subtract the sum over k of value[k] x[column[k]] of sparse row r from out[rows[r]]."""
+    for r in range(len(rows)):
+        s = load(out, rows[r], 0)
+        for k in range(start[r], start[r + 1]):
+            s = fma(-value[k], load(x, column[k], 0), s)
+        store(out, rows[r], 0, s)
+
+
+@kernel
+def solve(first, row_start, row, lower_start, lower, upper, lower_corner, upper_corner, inverse_diagonal, y):
+    """Solve L D U y = y in place, by panels of up to four columns (eq. 9, 10; layout: `factors.Panels`).
+
+    Forward, a panel is solved and pushed to the rows below it; backward, those rows are pulled into it: each row of y
+    that is loaded serves as many entries as the panel has columns, and there is a sum for each of them.
+    """
+    if len(upper) == 0:
+        upper = lower
+    for p in range(len(first) - 1):
+        c, width, o = first[p], first[p + 1] - first[p], lower_start[p]
+        begin, end = row_start[p], row_start[p + 1]
+        if width == 1:
+            x0 = load(y, c, 0)
+            for r in range(begin, end):
+                i = row[r]
+                store(y, i, 0, fma(lower[o], x0, load(y, i, 0)))
+                o += 1
+        elif width == 2:
+            x0 = load(y, c, 0)
+            x1 = fma(lower_corner[p, 0], x0, load(y, c + 1, 0))
+            store(y, c + 1, 0, x1)
+            for r in range(begin, end):
+                i = row[r]
+                store(y, i, 0, fma(lower[o + 1], x1, fma(lower[o], x0, load(y, i, 0))))
+                o += 2
+        elif width == 3:
+            x0 = load(y, c, 0)
+            x1 = fma(lower_corner[p, 0], x0, load(y, c + 1, 0))
+            x2 = fma(lower_corner[p, 2], x1, fma(lower_corner[p, 1], x0, load(y, c + 2, 0)))
+            store(y, c + 1, 0, x1)
+            store(y, c + 2, 0, x2)
+            for r in range(begin, end):
+                i = row[r]
+                store(y, i, 0, fma(lower[o + 2], x2, fma(lower[o + 1], x1, fma(lower[o], x0, load(y, i, 0)))))
+                o += 3
+        else:
+            x0 = load(y, c, 0)
+            x1 = fma(lower_corner[p, 0], x0, load(y, c + 1, 0))
+            x2 = fma(lower_corner[p, 2], x1, fma(lower_corner[p, 1], x0, load(y, c + 2, 0)))
+            x3 = fma(lower_corner[p, 3], x0, load(y, c + 3, 0))
+            x3 = fma(lower_corner[p, 5], x2, fma(lower_corner[p, 4], x1, x3))
+            store(y, c + 1, 0, x1)
+            store(y, c + 2, 0, x2)
+            store(y, c + 3, 0, x3)
+            for r in range(begin, end):
+                i = row[r]
+                s = fma(lower[o + 1], x1, fma(lower[o], x0, load(y, i, 0)))
+                store(y, i, 0, fma(lower[o + 3], x3, fma(lower[o + 2], x2, s)))
+                o += 4
+    for back in range(len(first) - 1):
+        p = len(first) - 2 - back
+        c, width, o = first[p], first[p + 1] - first[p], lower_start[p]
+        begin, end = row_start[p], row_start[p + 1]
+        s0 = mul(inverse_diagonal[c], load(y, c, 0))
+        if width == 1:
+            for r in range(begin, end):
+                s0 = fma(upper[o], load(y, row[r], 0), s0)
+                o += 1
+        elif width == 2:
+            s1 = mul(inverse_diagonal[c + 1], load(y, c + 1, 0))
+            for r in range(begin, end):
+                x = load(y, row[r], 0)
+                s0, s1 = fma(upper[o], x, s0), fma(upper[o + 1], x, s1)
+                o += 2
+            s0 = fma(upper_corner[p, 0], s1, s0)
+            store(y, c + 1, 0, s1)
+        elif width == 3:
+            s1 = mul(inverse_diagonal[c + 1], load(y, c + 1, 0))
+            s2 = mul(inverse_diagonal[c + 2], load(y, c + 2, 0))
+            for r in range(begin, end):
+                x = load(y, row[r], 0)
+                s0, s1, s2 = fma(upper[o], x, s0), fma(upper[o + 1], x, s1), fma(upper[o + 2], x, s2)
+                o += 3
+            s1 = fma(upper_corner[p, 2], s2, s1)
+            s0 = fma(upper_corner[p, 1], s2, fma(upper_corner[p, 0], s1, s0))
+            store(y, c + 1, 0, s1)
+            store(y, c + 2, 0, s2)
+        else:
+            s1 = mul(inverse_diagonal[c + 1], load(y, c + 1, 0))
+            s2 = mul(inverse_diagonal[c + 2], load(y, c + 2, 0))
+            s3 = mul(inverse_diagonal[c + 3], load(y, c + 3, 0))
+            for r in range(begin, end):
+                x = load(y, row[r], 0)
+                s0, s1 = fma(upper[o], x, s0), fma(upper[o + 1], x, s1)
+                s2, s3 = fma(upper[o + 2], x, s2), fma(upper[o + 3], x, s3)
+                o += 4
+            s2 = fma(upper_corner[p, 5], s3, s2)
+            s1 = fma(upper_corner[p, 4], s3, fma(upper_corner[p, 2], s2, s1))
+            s0 = fma(upper_corner[p, 3], s3, fma(upper_corner[p, 1], s2, fma(upper_corner[p, 0], s1, s0)))
+            store(y, c + 1, 0, s1)
+            store(y, c + 2, 0, s2)
+            store(y, c + 3, 0, s3)
+        store(y, c, 0, s0)
+
+
+@kernel
+def divergence(start, column, value, u, out):
+    """Set the first rows of `out` to Dx u_x + Dy u_y (eq. 10). value: (nnz, 2). u: pairs."""
+    for i in range(len(start) - 1):
+        s = splat(0.0, out)
         for k in range(start[i], start[i + 1]):
-            j, m = column[k], -value[k]
-            u, v = fma(m, load(y, j, 0), u), fma(m, load(y, j, 1), v)
-        store(y, i, 0, u)
-        store(y, i, 1, v)
+            x = load(u, column[k], 0)
+            s = fma(value[k, 0], low(x), fma(value[k, 1], high(x), s))
+        store(out, i, 0, s)
 
 
 @kernel
-def pressure_solve(d_start, d_column, d_value, u, l_start, l_column, l_value, u_start, u_column, u_value, inv, phi):
-    """Solve the Poisson equation L D U phi = d u for the pressure increment (eq. 10)."""
-    n = len(inv)
-    for i in range(n):
-        s = splat(0.0, phi)
-        for k in range(d_start[i], d_start[i + 1]):
-            j = d_column[k]
-            s = fma(d_value[k, 0], load(u, j, 0), fma(d_value[k, 1], load(u, j, 1), s))
-        for k in range(l_start[i], l_start[i + 1]):
-            s = fma(-l_value[k], load(phi, l_column[k], 0), s)
-        store(phi, i, 0, s)
-    for back in range(n):
-        i = n - 1 - back
-        s = mul(inv[i], load(phi, i, 0))
-        for k in range(u_start[i], u_start[i + 1]):
-            s = fma(-u_value[k], load(phi, u_column[k], 0), s)
-        store(phi, i, 0, s)
+def extrapolate(ahead, u, u_old, e, d):
+    """Set e = u + ahead (u - u_old) and d = u - u_old, rounded to the precision of e and d (eq. 5, 6). All pairs."""
+    for i in range(len(u)):
+        now = load(u, i, 0)
+        step = sub(now, load(u_old, i, 0))
+        store(d, i, 0, rounded(step, d))
+        store(e, i, 0, rounded(fma(ahead, step, now), e))
 
 
 @kernel
@@ -230,33 +307,3 @@ def product(start, column, value, x, component, out):
         for k in range(start[i], start[i + 1]):
             s = fma(value[k], load(x, column[k], component), s)
         store(out, i, 0, s)
-
-
-@kernel
-def add_product(column, factor, value, x, row, out):
-    """Add factor times the sum over k of value[k, c] x[column[k], c] to out[row, c], for c = 0, 1."""
-    s, t = load(out, row, 0), load(out, row, 1)
-    for k in range(len(column)):
-        j = column[k]
-        s = fma(factor * value[k, 0], load(x, j, 0), s)
-        t = fma(factor * value[k, 1], load(x, j, 1), t)
-    store(out, row, 0, s)
-    store(out, row, 1, t)
-
-
-@kernel
-def add_scaled(rows, value, x, step, jet, out):
-    """Add value[k, c] x[step, jet] to out[rows[k], c], for c = 0, 1."""
-    q = load(x, step, jet)
-    for k in range(len(rows)):
-        i = rows[k]
-        store(out, i, 0, fma(value[k, 0], q, load(out, i, 0)))
-        store(out, i, 1, fma(value[k, 1], q, load(out, i, 1)))
-
-
-@kernel
-def fill(value, out):
-    """Set out[i, c] = value[i, c] in every lane, for the rows of `value`."""
-    for i in range(len(value)):
-        for c in range(2):
-            store(out, i, c, splat(value[i, c], out))

@@ -14,57 +14,38 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 import scipy.sparse as sp
 import skfem
-from scipy.sparse.linalg import splu
 from skfem.helpers import dot, grad
 
-from manywake.flow import disk
+from manywake.flow import disk, factors
 from manywake.flow import space as spaces
 from manywake.flow.case import FULL_RATE, Case
-from manywake.flow.kernels import NODE
+from manywake.flow.factors import Panels, Rows
 from manywake.flow.mesh import Mesh
 from manywake.flow.space import Space
 
 
-class Rows(NamedTuple):
-    """A sparse matrix by rows. value: (nnz,), or (nnz, 2) for one number per velocity component."""
-
-    start: np.ndarray
-    column: np.ndarray
-    value: np.ndarray
-
-
-class Factors(NamedTuple):
-    """L D U with unit triangles L, U (strict parts stored) and the inverse of D."""
-
-    lower: Rows
-    upper: Rows
-    inverse_diagonal: np.ndarray
-
-
 class Tables(NamedTuple):
-    """The arrays the compiled time loop reads. Coefficients of the scheme stand in `numbers`."""
+    """The arrays the compiled time loop reads, in the solver's order. Coefficients of the scheme stand in `numbers`.
+
+    What acts on rounded fields is float32 as they are: elements, linear, gradient, coupling, divergence and factors.
+    fixed: (nodes on Dirichlet boundaries, 2), their values without jets. force: columns and weights of A^T phi.
+    """
 
     nodes: np.ndarray
     inverse: np.ndarray
-    wind: np.ndarray
     curved_nodes: np.ndarray
     curved_inverse: np.ndarray
-    curved_wind: np.ndarray
-    history: Rows
+    linear: Rows
     gradient: Rows
-    momentum: Factors
+    coupling_rows: np.ndarray
+    coupling: Rows
+    momentum: Panels
     divergence: Rows
-    poisson: Factors
+    poisson: Panels
     fixed: np.ndarray
-    lift: np.ndarray
-    jet_lift_rows: np.ndarray
-    jet_lift: np.ndarray
     jet_rows: np.ndarray
     jet_profile: np.ndarray
-    body: np.ndarray
-    force_new: Rows
-    force_now: Rows
-    force_old: Rows
+    force: Rows
     force_pressure: Rows
     jet_thrust: np.ndarray
     numbers: np.ndarray
@@ -74,9 +55,10 @@ class Tables(NamedTuple):
 class Operators:
     """What `assemble` makes of a case and a mesh.
 
-    velocity_order, pressure_order: numbers of scikit-fem's nodes in the solver's order. free: count of free velocity
-    nodes. jet_flux_error: relative flux error of each jet's interpolated profile before it is scaled to the exact
-    flux. probe_pressure: (probes, m), probe_velocity: (probes, n), acting on the solver's order.
+    velocity_order, pressure_order: numbers of scikit-fem's nodes in the solver's order: velocity nodes that are free,
+    those of the body, other Dirichlet nodes. free: count of the free ones. jet_flux_error: relative flux error of each
+    jet's interpolated profile before it is scaled to the exact flux. probe_pressure: (probes, m), probe_velocity:
+    (probes, n), acting on the solver's order.
     """
 
     case: Case
@@ -93,6 +75,11 @@ class Operators:
     def space(self) -> Space:
         """The finite-element spaces. Stepping needs none of it, so it is built when asked for and travels nowhere."""
         return spaces.build(self.mesh)
+
+    @property
+    def precision(self) -> type:
+        """NumPy type of increments and residuals."""
+        return self.tables.inverse.dtype.type
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name != "space"}
@@ -123,12 +110,17 @@ _PLAIN = ("velocity_order", "pressure_order", "jet_flux_error")
 _READINGS = ("probe_pressure", "probe_velocity")
 
 
+def arrays(ops: Operators) -> dict[str, np.ndarray]:
+    """Return every array of the operators by its dotted name."""
+    named = _flatten("tables", ops.tables) | {name: getattr(ops, name) for name in _PLAIN}
+    for name in _READINGS:
+        named |= _flatten(name, getattr(ops, name))
+    return named
+
+
 def save(ops: Operators, path: Path) -> None:
     """Write operators, so that a run can go on with these very bits on any machine."""
-    arrays = _flatten("tables", ops.tables) | {name: getattr(ops, name) for name in _PLAIN}
-    for name in _READINGS:
-        arrays |= _flatten(name, getattr(ops, name))
-    named: dict[str, Any] = {"free": np.array(ops.free), "digest": np.array(ops.digest), **arrays}
+    named: dict[str, Any] = {"free": np.array(ops.free), "digest": np.array(ops.digest), **arrays(ops)}
     disk.write(path, lambda file: np.savez(file, **named))
 
 
@@ -223,78 +215,70 @@ def from_boundary_data(
     jet_flux_error: np.ndarray,
     jet_thrust: np.ndarray,
     mean: np.ndarray | None = None,
+    precision: type = np.float32,
 ) -> Operators:
     """Assemble for any Dirichlet data of the form steady + sum over jets of Q_j(t) profile_j.
 
     fixed: velocity nodes with Dirichlet data. steady: (n, 2), profiles: (jets, n, 2), zero away from `fixed`.
     body: nodes whose momentum residual is the force. pressure_fixed: pressure nodes held at zero.
     mean: (n, 2) velocity that advects implicitly; ValueError where the scheme wants one and there is none.
+    precision: of increments and residuals; the fields themselves are doubles always. float64 is for comparison.
     """
     scheme, dt, nu = case.scheme, case.time_step, case.viscosity
     n, m = space.mass.shape[0], space.pressure_stiffness.shape[0]
     M, K = space.mass, space.stiffness
-    S = damping(case, space)
     if scheme.mean and mean is None:
         raise ValueError(f"mean: got none, wanted the velocity (n, 2) that scheme {scheme.name!r} advects with")
-    U = mean if scheme.mean and mean is not None else np.zeros_like(space.x)
-    A = scheme.new / dt * M + scheme.implicit * nu * K + S
-    if scheme.mean:
-        A = A + spaces.advection(space, U)
-    old = M / dt - (1 - scheme.implicit) * nu * K
-    R = [h * old + e * S for h, e in zip(scheme.history, scheme.extrapolation, strict=True)]
+    A = scheme.new / dt * M + scheme.implicit * nu * K + damping(case, space)
+    if scheme.mean and mean is not None:
+        A = sp.csr_matrix(A + spaces.advection(space, mean))
 
     free = np.setdiff1d(np.arange(n), fixed)
-    factors, order = factor(A[free][:, free])
+    momentum, order = factors.factor(A[free][:, free])
     free = free[order]
-    velocity_order = np.concatenate([free, fixed])
+    velocity_order = np.concatenate([free, body, np.setdiff1d(fixed, body)])
     p_free = np.setdiff1d(np.arange(m), pressure_fixed)
-    poisson, order = factor(space.pressure_stiffness[p_free][:, p_free])
+    poisson, order = factors.factor(space.pressure_stiffness[p_free][:, p_free])
     p_free = p_free[order]
     pressure_order = np.concatenate([p_free, pressure_fixed])
 
     place = np.empty(n, int)
     place[velocity_order] = np.arange(n)
     Bx, By = space.divergence
-    to_new = sp.csr_matrix(A[free])
-    values = np.stack([steady, *profiles]) if len(profiles) else steady[None]
-    lifts = np.stack([np.stack([to_new @ value[:, c] for c in range(2)], axis=1) for value in values])
+    tested = velocity_order[: len(free) + len(body)]
+    old = scheme.history[0] * scheme.ahead + scheme.history[1] * (scheme.ahead + 1)
+    to_fixed = sp.csr_matrix(A[free][:, velocity_order[len(free) :]])
+    coupling_rows = np.flatnonzero(np.diff(to_fixed.indptr))
+    to_fixed = factors.rows(to_fixed[coupling_rows])
     jet_rows = np.flatnonzero(abs(profiles).max(axis=(0, 2), initial=0.0)[velocity_order])
-    jet_lift_rows = np.flatnonzero(abs(lifts[1:]).max(axis=(0, 2), initial=0.0))
-    lift = np.zeros((n, 2))
-    lift[: len(free)] = -lifts[0]
 
     test = np.zeros(n)
     test[body] = 1.0
-    force_pressure = _pair(*(sp.csr_matrix((B @ test)[None, pressure_order]) for B in (Bx, By)))
     curved = space.curved
     straight = _locality(space, place)
     straight = straight[~np.isin(straight, curved)]
-    winds = [NODE @ U[space.nodes[part]] for part in (straight, curved)]
+    acting = {
+        "nodes": place[space.nodes[straight]].astype(np.uint32),
+        "inverse": np.ascontiguousarray(space.inverse[straight, None]),
+        "curved_nodes": place[space.nodes[curved]].astype(np.uint32),
+        "curved_inverse": space.curved_inverse,
+        "linear": factors.pair(-nu * K[tested][:, velocity_order], -old / dt * M[tested][:, velocity_order]),
+        "gradient": factors.pair(*(B[:, tested][pressure_order].T for B in (Bx, By))),
+        "coupling_rows": coupling_rows.astype(np.uint32),
+        "coupling": to_fixed._replace(column=to_fixed.column + np.uint32(len(free))),
+        "momentum": momentum,
+        "divergence": factors.pair(*(-scheme.new / dt * B[p_free][:, velocity_order] for B in (Bx, By))),
+        "poisson": poisson,
+    }
     tables = Tables(
-        nodes=place[space.nodes[straight]].astype(np.uint32),
-        inverse=np.ascontiguousarray(space.inverse[straight, None]),
-        wind=spaces.wind(space.inverse[straight, None], winds[0]),
-        curved_nodes=place[space.nodes[curved]].astype(np.uint32),
-        curved_inverse=space.curved_inverse,
-        curved_wind=spaces.wind(space.curved_inverse, winds[1]),
-        history=_pair(*(part[free][:, velocity_order] for part in R)),
-        gradient=_pair(*(B[:, free][pressure_order].T for B in (Bx, By))),
-        momentum=factors,
-        divergence=_pair(*(-scheme.new / dt * B[p_free][:, velocity_order] for B in (Bx, By))),
-        poisson=poisson,
-        fixed=steady[fixed],
-        lift=lift,
-        jet_lift_rows=jet_lift_rows.astype(np.uint32),
-        jet_lift=np.ascontiguousarray(-lifts[1:, jet_lift_rows]),
+        **{name: _rounded(part, precision) for name, part in acting.items()},
+        fixed=steady[velocity_order[len(free) :]],
         jet_rows=jet_rows.astype(np.uint32),
         jet_profile=np.ascontiguousarray(profiles[:, velocity_order[jet_rows]]),
-        body=np.sort(place[body]).astype(np.uint32),
-        force_new=_same(sp.csr_matrix((A.T @ test)[None, velocity_order])),
-        force_now=_same(sp.csr_matrix(-(R[0].T @ test)[None, velocity_order])),
-        force_old=_same(sp.csr_matrix(-(R[1].T @ test)[None, velocity_order])),
-        force_pressure=force_pressure,
+        force=factors.rows(sp.csr_matrix((A.T @ test)[None, velocity_order])),
+        force_pressure=factors.pair(*(sp.csr_matrix((B @ test)[None, pressure_order]) for B in (Bx, By))),
         jet_thrust=jet_thrust,
-        numbers=np.array([*scheme.extrapolation, *scheme.pressure, 2.0 / case.diameter]),
+        numbers=np.array([scheme.ahead, *scheme.pressure, 2.0 / case.diameter]),
     )
     points = np.array(case.probes).reshape(-1, 2)
     return Operators(
@@ -305,9 +289,16 @@ def from_boundary_data(
         pressure_order,
         len(free),
         jet_flux_error,
-        _rows(spaces.probe_matrix(space.pressure, points)[:, pressure_order]),
-        _rows(spaces.probe_matrix(space.velocity, points)[:, velocity_order]),
+        factors.rows(spaces.probe_matrix(space.pressure, points)[:, pressure_order]),
+        factors.rows(spaces.probe_matrix(space.velocity, points)[:, velocity_order]),
     )
+
+
+def _rounded(part, precision) -> Any:
+    """Return an array or a named tuple of arrays with its numbers, not its indices, in the given precision."""
+    if not isinstance(part, np.ndarray):
+        return type(part)(*(_rounded(child, precision) for child in part))
+    return part.astype(precision) if part.dtype == np.float64 else part
 
 
 REACH = 2.0
@@ -331,48 +322,6 @@ def damping(case: Case, space: Space) -> sp.csr_matrix:
     return sp.csr_matrix(form.assemble(space.velocity))
 
 
-def factor(matrix: sp.spmatrix) -> tuple[Factors, np.ndarray]:
-    """Factor a matrix of symmetric structure as L D U after a fill-reducing permutation, returned with it.
-
-    SuperLU in symmetric mode with a minimum-degree ordering, no pivoting: the symmetric part is positive definite.
-    """
-    lu = splu(
-        sp.csc_matrix(matrix),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
-    if not np.array_equal(lu.perm_r, lu.perm_c):
-        raise RuntimeError("factor: SuperLU pivoted, so the matrix is not positive definite; check mesh and viscosity")
-    order = np.argsort(lu.perm_c)
-    diagonal = lu.U.diagonal()
-    lower = _rows(sp.tril(lu.L, -1))
-    upper = _rows(sp.diags(1.0 / diagonal) @ sp.triu(lu.U, 1))
-    return Factors(lower, upper, 1.0 / diagonal), order
-
-
 def _locality(space: Space, place: np.ndarray) -> np.ndarray:
     """Return the order of elements that follows the solver's numbering of their nodes, for the cache's sake."""
     return np.argsort(np.median(place[space.nodes], axis=1), kind="stable")
-
-
-def _rows(matrix: sp.spmatrix) -> Rows:
-    matrix = sp.csr_matrix(matrix)
-    matrix.eliminate_zeros()
-    matrix.sort_indices()
-    return Rows(matrix.indptr.astype(np.uint32), matrix.indices.astype(np.uint32), matrix.data)
-
-
-def _pair(x: sp.spmatrix, y: sp.spmatrix) -> Rows:
-    """Merge two matrices, one per velocity component, over the union of their entries."""
-    x, y = sp.csr_matrix(x), sp.csr_matrix(y)
-    union = sp.csr_matrix(abs(x).sign() + abs(y).sign())
-    union.sort_indices()
-    row = np.repeat(np.arange(union.shape[0]), np.diff(union.indptr))
-    value = np.stack([np.asarray(part[row, union.indices]).ravel() for part in (x, y)], axis=1)
-    return Rows(union.indptr.astype(np.uint32), union.indices.astype(np.uint32), np.ascontiguousarray(value))
-
-
-def _same(matrix: sp.csr_matrix) -> Rows:
-    rows = _rows(matrix)
-    return rows._replace(value=np.ascontiguousarray(np.stack([rows.value, rows.value], axis=1)))

@@ -1,9 +1,10 @@
 """The vector type of the kernels: `W` lanes, one flow in each, in one machine register (or a few).
 
-A lane array is a NumPy array whose dtype is `lanes(W)`: 8 W bytes, the doubles of one row. The dtype carries the width,
-so numba compiles a kernel once per width, and inside the kernel `load` yields a value of LLVM type `<W x double>`.
-(Bytes and not a record of doubles: numba names compiled code by its types, and names a record by a number that differs
-from process to process, so that cached kernels of two widths can get one name and be called for one another.)
+A lane array is a NumPy array whose dtype is `lanes(W, number)`: the W doubles or singles of one row. The dtype carries
+width and precision, so numba compiles a kernel once per dtype, and inside the kernel `load` yields a value of LLVM type
+`<W x double>` or `<W x float>`. (Byte strings stand for doubles and unicode strings for singles, and not a record of
+numbers: numba names compiled code by its types, and names a record by a number that differs from process to process,
+so that cached kernels of two widths can get one name and be called for one another.)
 LLVM leaves an ordinary inner loop over lanes scalar; this type does not leave it the choice, nor the choice of
 contracting products and sums: a fused multiply-add happens where the kernel says `fma`, and nowhere else, so each
 lane sees the same rounding for every width and on every processor.
@@ -17,20 +18,20 @@ from numba.core.imputils import impl_ret_untracked
 from numba.extending import intrinsic, models, register_model
 from numba.np.arrayobj import make_array
 
-WIDTHS = (8, 4, 1)
-"""Lane counts the kernels are compiled for: 8 carries the batch, 4 and 1 its remainder and the single flow."""
+WIDTHS = (8, 1)
+"""Lane counts the kernels are compiled for: 8 carries the batch (a row of singles is one AVX register), 1 one flow."""
 
 _CACHE_LINE = 64
 
 
-def lanes(width: int) -> np.dtype:
-    """Return the dtype of one row of `width` lanes."""
-    return np.dtype(f"S{8 * width}")
+def lanes(width: int, number: type = np.float64) -> np.dtype:
+    """Return the dtype of one row of `width` lanes of float64 or float32."""
+    return np.dtype(f"S{8 * width}" if number == np.float64 else f"U{width}")
 
 
-def zeros(shape: tuple[int, ...], width: int) -> np.ndarray:
+def zeros(shape: tuple[int, ...], width: int, number: type = np.float64) -> np.ndarray:
     """Return a zeroed lane array of `shape` rows, aligned to the cache line so that no load straddles two."""
-    dtype = lanes(width)
+    dtype = lanes(width, number)
     size = int(np.prod(shape)) * dtype.itemsize
     raw = np.zeros(size + _CACHE_LINE, np.uint8)
     offset = -raw.ctypes.data % _CACHE_LINE
@@ -38,26 +39,43 @@ def zeros(shape: tuple[int, ...], width: int) -> np.ndarray:
 
 
 def numbers(array: np.ndarray) -> np.ndarray:
-    """Return the lane array as plain doubles with the lane as last axis, sharing memory."""
-    return array.view(np.float64).reshape(*array.shape, -1)
+    """Return the lane array as plain numbers with the lane as last axis, sharing memory."""
+    return array.view(np.float64 if array.dtype.kind == "S" else np.float32).reshape(*array.shape, -1)
+
+
+def pairs(array: np.ndarray) -> np.ndarray:
+    """Return a velocity (n, 2) of W lanes as (n, 1) of 2 W lanes, both components in one row, sharing memory."""
+    number = np.float64 if array.dtype.kind == "S" else np.float32
+    return array.view(lanes(2 * numbers(array).shape[-1], number))
 
 
 class Vector(types.Type):
-    """numba's name for `<width x double>`."""
+    """numba's name for `<width x double>` (64 bits) or `<width x float>` (32 bits)."""
 
-    def __init__(self, width: int):
-        self.width = width
-        super().__init__(name=f"Vector({width})")
+    def __init__(self, width: int, bits: int):
+        self.width, self.bits = width, bits
+        super().__init__(name=f"Vector({width} x {bits})")
+
+    @property
+    def number(self) -> types.Float:
+        return types.float64 if self.bits == 64 else types.float32
+
+    @property
+    def llvm(self) -> ir.VectorType:
+        return ir.VectorType(ir.DoubleType() if self.bits == 64 else ir.FloatType(), self.width)
 
 
 @register_model(Vector)
 class _VectorModel(models.PrimitiveModel):
     def __init__(self, dmm, fe_type):
-        super().__init__(dmm, fe_type, ir.VectorType(ir.DoubleType(), fe_type.width))
+        super().__init__(dmm, fe_type, fe_type.llvm)
 
 
-def _width(array_type) -> int:
-    return array_type.dtype.count // 8
+def _row(array_type) -> Vector:
+    """Return the vector that a row of the lane array is."""
+    if isinstance(array_type.dtype, types.CharSeq):
+        return Vector(array_type.dtype.count // 8, 64)
+    return Vector(array_type.dtype.count, 32)
 
 
 def _pointer(context, builder, array_type, array, indices):
@@ -65,8 +83,7 @@ def _pointer(context, builder, array_type, array, indices):
     array = make_array(array_type)(context, builder, array)
     indices = [context.cast(builder, value, t, types.intp) for value, t in indices]
     pointer = cgutils.get_item_pointer(context, builder, array_type, array, indices, wraparound=False)
-    vector = ir.VectorType(ir.DoubleType(), _width(array_type))
-    return builder.bitcast(pointer, vector.as_pointer()), vector
+    return builder.bitcast(pointer, _row(array_type).llvm.as_pointer())
 
 
 @intrinsic
@@ -75,10 +92,9 @@ def load(typingctx, array, i, c):
 
     def codegen(context, builder, signature, args):
         index = [(args[1], signature.args[1]), (args[2], signature.args[2])]
-        pointer, _ = _pointer(context, builder, signature.args[0], args[0], index)
-        return builder.load(pointer, align=8)
+        return builder.load(_pointer(context, builder, signature.args[0], args[0], index), align=4)
 
-    return Vector(_width(array))(array, i, c), codegen
+    return _row(array)(array, i, c), codegen
 
 
 @intrinsic
@@ -87,65 +103,60 @@ def store(typingctx, array, i, c, value):
 
     def codegen(context, builder, signature, args):
         index = [(args[1], signature.args[1]), (args[2], signature.args[2])]
-        pointer, _ = _pointer(context, builder, signature.args[0], args[0], index)
-        builder.store(args[3], pointer, align=8)
+        builder.store(args[3], _pointer(context, builder, signature.args[0], args[0], index), align=4)
         return context.get_dummy_value()
 
     return types.void(array, i, c, value), codegen
 
 
-def _splat(builder, scalar, width):
-    vector = ir.VectorType(ir.DoubleType(), width)
-    one = builder.insert_element(ir.Constant(vector, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
-    mask = ir.Constant(ir.VectorType(ir.IntType(32), width), [0] * width)
-    return builder.shuffle_vector(one, ir.Constant(vector, ir.Undefined), mask)
+def _splat(builder, scalar, vector: Vector):
+    one = builder.insert_element(ir.Constant(vector.llvm, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
+    return _shuffle(builder, one, one, [0] * vector.width)
 
 
-def _as_vector(context, builder, value, value_type, width):
+def _shuffle(builder, a, b, lanes):
+    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), lanes))
+
+
+def _as_vector(context, builder, value, value_type, vector: Vector):
     if isinstance(value_type, Vector):
         return value
-    return _splat(builder, context.cast(builder, value, value_type, types.float64), width)
+    return _splat(builder, context.cast(builder, value, value_type, vector.number), vector)
 
 
 @intrinsic
 def splat(typingctx, number, like):
-    """The number in every lane, as wide as the lane array `like`."""
-    width = _width(like)
+    """The number in every lane, as wide and precise as the lane array `like`."""
+    vector = _row(like)
 
     def codegen(context, builder, signature, args):
-        return _as_vector(context, builder, args[0], signature.args[0], width)
+        return _as_vector(context, builder, args[0], signature.args[0], vector)
 
-    return Vector(width)(number, like), codegen
+    return vector(number, like), codegen
 
 
 @intrinsic
 def fma(typingctx, a, b, c):
     """A * b + c with one rounding; `a` may be a number."""
-    width = b.width
 
     def codegen(context, builder, signature, args):
-        vector = ir.VectorType(ir.DoubleType(), width)
         function = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(vector, [vector] * 3), f"llvm.fma.v{width}f64"
+            builder.module, ir.FunctionType(b.llvm, [b.llvm] * 3), f"llvm.fma.v{b.width}f{b.bits}"
         )
-        values = [_as_vector(context, builder, value, t, width) for value, t in zip(args, signature.args, strict=True)]
+        values = [_as_vector(context, builder, value, t, b) for value, t in zip(args, signature.args, strict=True)]
         result = builder.call(function, values)
         return impl_ret_untracked(context, builder, signature.return_type, result)
 
-    return Vector(width)(a, b, c), codegen
+    return b(a, b, c), codegen
 
 
 def _binary(operation: str, doc: str):
     def function(typingctx, a, b):
-        width = b.width
-
         def codegen(context, builder, signature, args):
-            values = [
-                _as_vector(context, builder, value, t, width) for value, t in zip(args, signature.args, strict=True)
-            ]
+            values = [_as_vector(context, builder, value, t, b) for value, t in zip(args, signature.args, strict=True)]
             return getattr(builder, operation)(*values)
 
-        return Vector(width)(a, b), codegen
+        return b(a, b), codegen
 
     function.__doc__ = doc
     function.__name__ = operation
@@ -160,12 +171,58 @@ mul = _binary("fmul", "a * b; `a` may be a number.")
 @intrinsic
 def maximum(typingctx, a, b):
     """The larger of a and b, lane by lane; `a` may be a number. A NaN in `b` stays."""
-    width = b.width
 
     def codegen(context, builder, signature, args):
-        left, right = (
-            _as_vector(context, builder, value, t, width) for value, t in zip(args, signature.args, strict=True)
-        )
+        left, right = (_as_vector(context, builder, value, t, b) for value, t in zip(args, signature.args, strict=True))
         return builder.select(builder.fcmp_ordered(">", left, right), left, right)
 
-    return Vector(width)(a, b), codegen
+    return b(a, b), codegen
+
+
+@intrinsic
+def double(typingctx, a):
+    """The vector in doubles, exactly; of doubles, itself."""
+
+    def codegen(context, builder, signature, args):
+        return args[0] if a.bits == 64 else builder.fpext(args[0], signature.return_type.llvm)
+
+    return Vector(a.width, 64)(a), codegen
+
+
+@intrinsic
+def rounded(typingctx, a, like):
+    """The vector of doubles, rounded to the precision of the lane array `like`."""
+    bits = _row(like).bits
+
+    def codegen(context, builder, signature, args):
+        return args[0] if bits == 64 else builder.fptrunc(args[0], signature.return_type.llvm)
+
+    return Vector(a.width, bits)(a, like), codegen
+
+
+@intrinsic
+def join(typingctx, a, b):
+    """The lanes of a, then those of b: a row of `pairs` from its two components."""
+
+    def codegen(context, builder, signature, args):
+        return _shuffle(builder, *args, list(range(2 * a.width)))
+
+    return Vector(2 * a.width, a.bits)(a, b), codegen
+
+
+def _half(first: int, doc: str):
+    def function(typingctx, a):
+        width = a.width // 2
+
+        def codegen(context, builder, signature, args):
+            return _shuffle(builder, args[0], args[0], list(range(first * width, (first + 1) * width)))
+
+        return Vector(width, a.bits)(a), codegen
+
+    function.__doc__ = doc
+    function.__name__ = "half"
+    return intrinsic(function)
+
+
+low = _half(0, "The first half of the lanes: the first component of a row of `pairs`.")
+high = _half(1, "The second half of the lanes: the second component of a row of `pairs`.")

@@ -1,6 +1,7 @@
 """Taylor-Hood elements: P2 velocity and P1 pressure on triangles, isoparametric at the cylinder, by scikit-fem."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -49,8 +50,11 @@ class Space:
     def facets(self, name: str) -> np.ndarray:
         """Return scikit-fem's facet numbers of a named boundary."""
         pairs = np.sort(self.mesh.boundaries[name], axis=1)
-        known = {(int(a), int(b)): k for k, (a, b) in enumerate(np.sort(self.velocity.mesh.facets.T, axis=1))}
-        return np.array([known[int(a), int(b)] for a, b in pairs])
+        return np.array([self._facet_numbers[int(a), int(b)] for a, b in pairs])
+
+    @cached_property
+    def _facet_numbers(self) -> dict[tuple[int, int], int]:
+        return {(int(a), int(b)): k for k, (a, b) in enumerate(np.sort(self.velocity.mesh.facets.T, axis=1))}
 
     def boundary_nodes(self, names: list[str]) -> np.ndarray:
         """Return the velocity nodes of the named boundaries, sorted."""
@@ -126,11 +130,6 @@ def _inverse(x: np.ndarray, corner: np.ndarray) -> np.ndarray:
     # scikit-fem sorts the vertices of a triangle, so it may stand clockwise: hence the sign
     sign = np.sign(x_xi * y_eta - x_eta * y_xi)
     return np.stack([y_eta, -x_eta, -y_xi, x_xi], axis=2) * sign[:, :, None]
-
-
-def wind(inverse: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Return `inverse` (elements, q or 1, 4) times the velocity u (elements, q, 2), (elements, q, 2)."""
-    return np.einsum("eqij,eqj->eqi", np.broadcast_to(inverse, (*u.shape[:2], 4)).reshape(*u.shape, 2), u)
 
 
 def _clean(matrix: sp.spmatrix) -> sp.csr_matrix:

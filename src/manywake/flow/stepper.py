@@ -5,25 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from manywake.flow import simd
-from manywake.flow.kernels import (
-    add_product,
-    add_scaled,
-    convection,
-    fill,
-    kernel,
-    momentum_backward,
-    momentum_forward,
-    pressure_solve,
-)
+from manywake.flow.kernels import convection, divergence, extrapolate, kernel, linear_terms, solve, subtract_rows
 from manywake.flow.operators import Operators
-from manywake.flow.simd import add, fma, load, mul, splat, store, sub
+from manywake.flow.simd import add, double, fma, high, join, load, low, mul, rounded, splat, store, sub
 
 
 @dataclass(frozen=True)
 class State:
     """The flows of one block of lanes at time t: lane arrays in the solver's order.
 
-    u, u_old: (n, 2) velocity at t and t - dt. p, phi, phi_old: (m, 1) pressure at t, its last two increments.
+    u, u_old: (n, 2) velocity at t and t - dt. p: (m, 1) pressure at t. These are doubles; in the precision of the
+    operators are phi, phi_old: (m, 1) the last two increments of p.
     """
 
     u: np.ndarray
@@ -34,66 +26,96 @@ class State:
 
 
 @kernel
-def _advance(ops, u, u_old, p, phi, phi_old, y, jets, force):
-    """Take len(jets) steps. jets: (steps, jets) lanes. force: (steps, 2) lanes, receives C_D and C_L."""
-    e0, e1, q1, q2, to_coefficient = ops.numbers[0], ops.numbers[1], ops.numbers[2], ops.numbers[3], ops.numbers[4]
+def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, p_star, jets, force):
+    """Take len(jets) steps. jets: (steps, jets) lanes. force: (steps, 2) lanes, receives C_D and C_L.
+
+    u, u_old, e, d, y: pairs. e, d, y, p_star: room in the precision of the operators.
+    """
+    ahead, b1, b2, to_coefficient = ops.numbers[0], ops.numbers[1], ops.numbers[2], ops.numbers[3]
     nf = len(ops.momentum.inverse_diagonal)
     mf = len(ops.poisson.inverse_diagonal)
+    tested = len(ops.linear.start) - 1
+    extrapolate(ahead, u, u_old, e, d)
     for s in range(len(jets)):
-        # right-hand side: lifts of the boundary data, then convection (eq. 8)
-        fill(ops.lift, y)
-        for j in range(jets.shape[1]):
-            add_scaled(ops.jet_lift_rows, ops.jet_lift[j], jets, s, j, y)
-        convection(ops.nodes, ops.inverse, ops.wind, e0, u, e1, u_old, y)
-        convection(ops.curved_nodes, ops.curved_inverse, ops.curved_wind, e0, u, e1, u_old, y)
+        # minus the residual of the momentum equation at the extrapolated velocity and pressure (eq. 6-9)
+        for i in range(mf):
+            now = load(p, i, 0)
+            guess = fma(b1, double(load(phi, i, 0)), fma(b2, double(load(phi_old, i, 0)), now))
+            store(p_star, i, 0, rounded(guess, p_star))
+        linear_terms(
+            ops.linear.start, ops.linear.column, ops.linear.value, e, d,
+            ops.gradient.start, ops.gradient.column, ops.gradient.value, p_star, y,
+        )  # fmt: skip
+        for i in range(tested, len(y)):
+            store(y, i, 0, splat(0.0, y))
+        convection(ops.nodes, ops.inverse, e, y)
+        convection(ops.curved_nodes, ops.curved_inverse, e, y)
 
-        # what of the force is known before u at t + dt (eq. 14)
-        fx, fy = splat(0.0, force), splat(0.0, force)
-        for k in range(len(ops.body)):
-            fx, fy = sub(fx, load(y, ops.body[k], 0)), sub(fy, load(y, ops.body[k], 1))
+        # what of the force is known before the increment (eq. 14)
+        f = splat(0.0, u)
+        for i in range(nf, tested):
+            f = add(f, double(load(y, i, 0)))
         for j in range(jets.shape[1]):
             q = load(jets, s, j)
-            fx, fy = fma(mul(-ops.jet_thrust[j, 0], q), q, fx), fma(mul(-ops.jet_thrust[j, 1], q), q, fy)
-        store(force, s, 0, fx)
-        store(force, s, 1, fy)
-        add_product(ops.force_now.column, 1.0, ops.force_now.value, u, s, force)
-        add_product(ops.force_old.column, 1.0, ops.force_old.value, u_old, s, force)
+            f = add(f, join(mul(ops.jet_thrust[j, 0], mul(q, q)), mul(ops.jet_thrust[j, 1], mul(q, q))))
 
-        # velocity at t + dt (eq. 9): boundary values, then the free nodes
-        fill(ops.fixed, y[nf:])
-        for j in range(jets.shape[1]):
-            add_scaled(ops.jet_rows, ops.jet_profile[j], jets, s, j, y)
-        for i in range(mf):
-            old = load(p, i, 0)
-            store(phi_old, i, 0, fma(q1, load(phi, i, 0), fma(q2, load(phi_old, i, 0), old)))
-        momentum_forward(
-            ops.history.start, ops.history.column, ops.history.value, u, u_old,
-            ops.gradient.start, ops.gradient.column, ops.gradient.value, phi_old,
-            ops.momentum.lower.start, ops.momentum.lower.column, ops.momentum.lower.value, y,
+        # increment of the velocity (eq. 9): boundary values, then the free nodes
+        for i in range(len(ops.fixed)):
+            g = join(splat(ops.fixed[i, 0], jets), splat(ops.fixed[i, 1], jets))
+            store(y, nf + i, 0, rounded(sub(g, _ahead(ahead, u, u_old, nf + i)), y))
+        for k in range(len(ops.jet_rows)):
+            i = ops.jet_rows[k]
+            x, z = splat(ops.fixed[i - nf, 0], jets), splat(ops.fixed[i - nf, 1], jets)
+            for j in range(jets.shape[1]):
+                q = load(jets, s, j)
+                x, z = fma(ops.jet_profile[j, k, 0], q, x), fma(ops.jet_profile[j, k, 1], q, z)
+            store(y, i, 0, rounded(sub(join(x, z), _ahead(ahead, u, u_old, i)), y))
+        coupling = ops.coupling
+        subtract_rows(ops.coupling_rows, coupling.start, coupling.column, coupling.value, y, y)
+        m = ops.momentum
+        solve(
+            m.first, m.row_start, m.row, m.lower_start, m.lower, m.upper, m.lower_corner, m.upper_corner,
+            m.inverse_diagonal, y,
         )  # fmt: skip
-        upper = ops.momentum.upper
-        momentum_backward(upper.start, upper.column, upper.value, ops.momentum.inverse_diagonal, y)
+        for k in range(len(ops.force.column)):
+            f = fma(-ops.force.value[k], double(load(y, ops.force.column[k], 0)), f)
 
-        # pressure at t + dt (eq. 10, 11)
+        # velocity at t + dt, and what the next step starts from
+        u, u_old = u_old, u
+        for i in range(len(u)):
+            old = load(u_old, i, 0)
+            new = add(_ahead(ahead, u_old, u, i), double(load(y, i, 0)))
+            store(u, i, 0, new)
+            step = sub(new, old)
+            store(y, i, 0, rounded(new, y))
+            store(d, i, 0, rounded(step, d))
+            store(e, i, 0, rounded(fma(ahead, step, new), e))
+
+        # pressure at t + dt (eq. 10, 11), and its part in the force
         phi, phi_old = phi_old, phi
-        pressure_solve(
-            ops.divergence.start, ops.divergence.column, ops.divergence.value, y,
-            ops.poisson.lower.start, ops.poisson.lower.column, ops.poisson.lower.value,
-            ops.poisson.upper.start, ops.poisson.upper.column, ops.poisson.upper.value,
-            ops.poisson.inverse_diagonal, phi,
+        divergence(ops.divergence.start, ops.divergence.column, ops.divergence.value, y, phi)
+        m = ops.poisson
+        solve(
+            m.first, m.row_start, m.row, m.lower_start, m.lower, m.upper, m.lower_corner, m.upper_corner,
+            m.inverse_diagonal, phi,
         )  # fmt: skip
         for i in range(mf):
-            store(p, i, 0, add(load(p, i, 0), load(phi, i, 0)))
-
-        add_product(ops.force_new.column, 1.0, ops.force_new.value, y, s, force)
-        for c in range(2):
-            f = load(force, s, c)
-            for k in range(len(ops.force_pressure.column)):
-                f = fma(-ops.force_pressure.value[k, c], load(p, ops.force_pressure.column[k], 0), f)
-            store(force, s, c, mul(-to_coefficient, f))
-
-        u, u_old, y = y, u, u_old
+            store(p, i, 0, add(load(p, i, 0), double(load(phi, i, 0))))
+        x, z = low(f), high(f)
+        for k in range(len(ops.force_pressure.column)):
+            i = ops.force_pressure.column[k]
+            q = sub(load(p, i, 0), double(load(p_star, i, 0)))
+            x, z = fma(ops.force_pressure.value[k, 0], q, x), fma(ops.force_pressure.value[k, 1], q, z)
+        store(force, s, 0, mul(to_coefficient, x))
+        store(force, s, 1, mul(to_coefficient, z))
     return u, u_old, phi, phi_old
+
+
+@kernel
+def _ahead(ahead, u, u_old, i):
+    """The extrapolated velocity at a node (eq. 6)."""
+    now = load(u, i, 0)
+    return fma(ahead, sub(now, load(u_old, i, 0)), now)
 
 
 def advance(ops: Operators, state: State, jets: np.ndarray) -> tuple[State, np.ndarray]:
@@ -111,8 +133,11 @@ def advance(ops: Operators, state: State, jets: np.ndarray) -> tuple[State, np.n
     flow_rates = simd.zeros((steps, count), width)
     simd.numbers(flow_rates)[...] = jets
     force = simd.zeros((steps, 2), width)
-    y = simd.zeros(state.u.shape, width)
-    u, u_old, phi, phi_old = _advance(
-        ops.tables, state.u, state.u_old, state.p, state.phi, state.phi_old, y, flow_rates, force
+    e, d, y = (simd.zeros((len(state.u), 1), 2 * width, ops.precision) for _ in range(3))
+    p_star = simd.zeros(state.p.shape, width, ops.precision)
+    u, u_old = simd.pairs(state.u), simd.pairs(state.u_old)
+    new, old, phi, phi_old = _advance(
+        ops.tables, u, u_old, state.p, state.phi, state.phi_old, e, d, y, p_star, flow_rates, force
     )
-    return State(u, u_old, state.p, phi, phi_old), simd.numbers(force)
+    state = State(new.view(state.u.dtype), old.view(state.u.dtype), state.p, phi, phi_old)
+    return state, simd.numbers(force)

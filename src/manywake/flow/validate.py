@@ -28,8 +28,8 @@ SETTLE = 4.0
 """What of it is not averaged: the start-up of the jets, and on the fine mesh the interpolated start state."""
 TOLERANCE = 0.02
 """Of the changes of C_D and C_L by the jets against those on the fine mesh."""
-STEADY = 1e-6
-"""The flow is steady when C_D moved less than this during one unit of time..."""
+STEADY = 2e-4
+"""The flow is steady when C_D moved less than this during one unit of time; rounding to singles moves it by 9e-5..."""
 STEADY_MOST = 60.0
 """...which must be so before this time."""
 
@@ -113,7 +113,7 @@ def dfg_steady(case: Case, base: Baseline, report: Progress) -> list[Check]:
         report("DFG 2D-1", k / STEADY_MOST)
         record = flow.advance(np.zeros((unit, len(case.jets), 1)))[:, :, 0]
         if np.ptp(record[:, 0]) < STEADY:
-            c_d, c_l = record[-1]
+            c_d, c_l = record.mean(axis=0)
             front, back = steady.pressure_at(ops.space, flow.state(0).p, [(-case.radius, 0.0), (case.radius, 0.0)])
             dp = 0.2**2 * (front - back)  # the benchmark's mean inflow is 0.2, ours is 1
             break

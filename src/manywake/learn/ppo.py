@@ -101,10 +101,14 @@ class SpacesOnly(VecEnv):
 
 @dataclass
 class Hooks:
-    """What a run wants to know: a batch just before the update made of it, and when that has been made."""
+    """What a run wants to know: a batch just before the update made of it, and when that has been made.
+
+    converged: asked before each batch; True ends the training.
+    """
 
     collected: Callable[["EpisodicPPO", list[Episode]], None] = lambda model, episodes: None
     updated: Callable[["EpisodicPPO", list[Episode]], None] = lambda model, episodes: None
+    converged: Callable[["EpisodicPPO"], bool] = lambda model: False
 
 
 class EpisodicPPO(PPO):
@@ -126,6 +130,8 @@ class EpisodicPPO(PPO):
 
     def collect_rollouts(self, env, callback, rollout_buffer, n_rollout_steps) -> bool:
         """Collect one update's episodes, join them in index order in one column, and bootstrap at the horizon."""
+        if self.hooks.converged(self):
+            return False
         callback.on_rollout_start()
         self.policy.set_training_mode(False)
         self._batch = episodes = self.collector.collect(snapshot(self))

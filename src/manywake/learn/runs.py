@@ -124,6 +124,7 @@ class Progress:
     pending: list[tuple[int, int]] = dataclasses.field(default_factory=list)
     wall_s: float = 0.0
     best: float = -np.inf
+    best_version: int = 0
     burst: int = 0
     reached: dict[str, tuple[int, float] | None] = dataclasses.field(default_factory=lambda: dict.fromkeys(MILESTONES))
 

@@ -30,12 +30,17 @@ class Learning:
     max_grad_norm: float = 0.5
     log_std_init: float = -1.0
     """Logarithm of the initial exploration noise, in units of the action's half range."""
+    patience: int | None = None
+    """Updates in a row without a better mean reward of an update's episodes, after which training stops by itself;
+    never when not given."""
     hidden: tuple[int, ...] = (512, 512)
     """ReLU layers of policy and critic each (paper, section 2.2)."""
     learner_threads: int = 2
     """Threads of the learner: a constant and not the core count, because the sums of torch depend on it."""
 
     def __post_init__(self) -> None:
+        if self.patience is not None and self.patience < 1:
+            raise ValueError(f"patience: got {self.patience}, wanted at least 1 update, or none to train to the end")
         if self.episodes % self.update_period or self.episodes < self.update_period:
             raise ValueError(
                 f"episodes: got {self.episodes}, wanted a multiple of the update period {self.update_period}"

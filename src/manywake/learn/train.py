@@ -78,8 +78,13 @@ class Watch:
         self._learning_since = time.perf_counter()
         score = float(np.mean([episode.rewards.sum() for episode in episodes]))
         if score > self.progress.best:
-            self.progress.best = score
+            self.progress.best, self.progress.best_version = score, model.version
             runs.save(model, self.progress, self.run.checkpoints / "best.zip")
+
+    def converged(self, model: EpisodicPPO) -> bool:
+        """Return whether the last `patience` updates brought no better episodes."""
+        patience = model.learning.patience
+        return patience is not None and model.version - 1 - self.progress.best_version >= patience
 
     def updated(self, model: EpisodicPPO, episodes: list[Episode]) -> None:
         """Write the rows of an update and its episodes, then the checkpoint."""
@@ -284,7 +289,7 @@ def _learn(watch: Watch, model: EpisodicPPO, show) -> Trained:
     collector, folder = watch.collector, watch.run.folder
     collector.seen = lambda episodes: show(episodes, watch.shares, watch.failures)
     collector.failed = watch.failed
-    model.hooks = ppo.Hooks(watch.collected, watch.updated)
+    model.hooks = ppo.Hooks(watch.collected, watch.updated, watch.converged)
     model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
     learning = model.learning
     left = (learning.episodes - model.version * learning.update_period) * collector.simulation.horizon
@@ -303,7 +308,8 @@ def _learn(watch: Watch, model: EpisodicPPO, show) -> Trained:
         ) from error
     finally:
         model.logger.close()
-    return Trained(watch.progress.wall_s, learning.episodes, ppo.digest(model), watch.progress.reached, watch.failures)
+    episodes = model.version * learning.update_period
+    return Trained(watch.progress.wall_s, episodes, ppo.digest(model), watch.progress.reached, watch.failures)
 
 
 @dataclass(frozen=True)
