@@ -3,14 +3,14 @@
 Claim: learning is nearly as good at equal episodes, with clear steps, since several updates follow each other when the
 environments end their episodes at about the same time; the speed-up is 55 to 60 at 60; that the second and third
 update of such a burst are of older policies' episodes does no harm.
-Here: three seeds each, 400 episodes, on the virtual clock, which orders arrivals reproducibly: durations with a spread of
-0.5 %, an update of 0.3 % of the T_L episodes it is made of (the paper's share). Times are in episodes of one environment,
-drawn in seconds of an episode measured in one lane (`synced`). No harm: the mean final C_D of the seeds is not above that
-of synced 20 by more than twice the standard error of the difference; Welch's p is given beside it.
+Here: three seeds each, 400 episodes, on the virtual clock, which orders arrivals reproducibly: durations with a spread
+of 0.5 %, an update of 0.3 % of the T_L episodes it is made of (the paper's share). Times are in episodes of one
+environment, drawn in seconds of an episode measured in one lane (`synced`). No harm: the mean final C_D of the seeds is
+not above that of synced 20 by more than twice the standard error of the difference; Welch's p is given beside it.
 Command: manywake figure overparallel
 Cost: 6 trainings beside those of `synced`, 14 min.
-Expected: curves with plateaus of N episodes; staleness 0, 1, 2 within a burst of 60; the share of samples clipped before
-the update begins shows how far off-policy these are; speed-up of 400 episodes 57 (they are 6.7 rounds of 60).
+Expected: curves with plateaus of N episodes; staleness 0, 1, 2 within a burst of 60; the share of samples clipped
+before the update begins shows how far off-policy these are; speed-up of 400 episodes 57 (they are 6.7 rounds of 60).
 """
 
 from typing import Any

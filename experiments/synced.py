@@ -1,10 +1,10 @@
 """Training with 1, 2, 5, 10 and 20 environments, synced (the paper's figure 4).
 
 Claim: with a divider of T_L = 20 environments, synced, the learning curves are identical, so the speed-up is N.
-Here: three seeds of 400 episodes with N = 20. An episode depends on its number, not on who plays it, so the other N have
-the same curves to the bit: proved by training seed 0 anew with each N for the first RERUN_UPDATES updates; a difference
-of one bit is an error. Their times are derived (`schedule.synced`) from the duration of an episode that has one core and
-one lane for itself, measured with N = 1; N = 1 and 2 are compared with the wall clock.
+Here: three seeds of 400 episodes with N = 20. An episode depends on its number, not on who plays it, so the other N
+have the same curves to the bit: proved by training seed 0 anew with each N for the first RERUN_UPDATES updates; a
+difference of one bit is an error. Their times are derived (`schedule.synced`) from the duration of an episode that has
+one core and one lane for itself, measured with N = 1; N = 1 and 2 are compared with the wall clock.
 Command: manywake figure synced
 Cost: three trainings, 7 min; the other N, 9 min (of these N = 1, alone on a core without lanes, 4).
 Expected: identical True everywhere; speed-up near N at the learner's 0.3 % that the paper had, and less with ours,
