@@ -50,19 +50,19 @@ def run(setup: Setup) -> None:
         ("no penalty", biased, True),
     ):
         setup.progress(f"cheating: {LABELS[name]}", 0.0)
-        maps[name.replace(" ", "_")], row = _averaged(run, controlled)
+        maps[name.replace(" ", "_")], row = _averaged(run, controlled, 0.1 if setup.miniature else PERIODS)
         numbers.append(rounded({"series": name, **row}, 5))
         setup.progress(f"cheating: {LABELS[name]}", 1.0)
     write(setup.csv("cheating"), vertex_maps.rows(learning_curves.simulation(penalised).baseline.mesh, **maps))
     write(setup.csv("cheating-numbers"), numbers)
 
 
-def _averaged(run: Run, controlled: bool) -> tuple[np.ndarray, dict[str, float]]:
+def _averaged(run: Run, controlled: bool, periods: float) -> tuple[np.ndarray, dict[str, float]]:
     """Return the mean speed at the vertices after one episode's transient, and the means of the forces and the jet."""
     simulation: JetFlows = learning_curves.simulation(run)
     task, period = simulation.task, simulation.baseline.shedding.period
     settle = simulation.horizon
-    actions = settle if run.settings.task.actions_per_episode < 10 else round(PERIODS * period / task.action_interval)
+    actions = round(periods * period / task.action_interval)
     speeds: list[np.ndarray] = []
 
     def look(flows) -> None:
@@ -81,7 +81,7 @@ def _averaged(run: Run, controlled: bool) -> tuple[np.ndarray, dict[str, float]]
 
 def plot(setup: Setup) -> None:
     table, numbers = read(setup.csv("cheating")), read(setup.csv("cheating-numbers"))
-    figure, axes = plt.subplots(3, 1, figsize=(10, 7.2), sharex=True)
+    figure, axes = plt.subplots(3, 1, figsize=(10, 6.6), sharex=True, layout="constrained")
     highest = max(np.nanmax(table[name.replace(" ", "_")]) for name in LABELS)
     for axis, (name, label) in zip(axes, LABELS.items(), strict=True):
         style = {"cmap": "magma", "vmin": 0.0, "vmax": highest}
@@ -89,7 +89,7 @@ def plot(setup: Setup) -> None:
         row = {key: column[0] for key, column in where(numbers, series=name).items()}
         text = f"{label}: mean $C_D$ {row['c_d']:.3f}, mean $C_L$ {row['c_l']:+.3f}, mean jet {row['jet']:+.4f}"
         axis.set_title(text, fontsize=10, loc="left")
-        figure.colorbar(picture, ax=axis, label=r"speed [$\bar U$]", pad=0.015)
+    figure.colorbar(picture, ax=axes, label=r"speed [$\bar U$]", pad=0.015, shrink=0.6)
     axes[-1].set_xlabel("x [10 D]")
     title = f"Speed averaged over {PERIODS} shedding periods"
     learning_curves.save(figure, setup.png("cheating"), title)

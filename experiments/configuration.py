@@ -23,7 +23,7 @@ def run(setup: Setup) -> None:
 
 
 def plot(setup: Setup) -> None:
-    figure, axis = plt.subplots(figsize=(11, 3))
+    figure, axis = plt.subplots(figsize=(11, 2.9), layout="constrained")
     table = read(setup.csv("configuration"))
     picture = vertex_maps.draw(axis, CASE, table, "pressure", cmap="viridis")
     axis.plot(*np.transpose(CASE.probes), "k.", ms=3, label=f"{len(CASE.probes)} probes")
@@ -33,7 +33,7 @@ def plot(setup: Setup) -> None:
     axis.plot([], [], color="red", lw=4, label=f"{len(CASE.jets)} jets")
     axis.set_xlabel("x [10 D]")
     axis.legend(loc="upper right", fontsize=9, frameon=True)
-    figure.colorbar(picture, ax=axis, label=r"pressure [$\rho \bar U^2$]", pad=0.015)
+    figure.colorbar(picture, ax=axis, label=r"pressure [$\rho \bar U^2$]", pad=0.015, shrink=0.85)
     learning_curves.save(figure, setup.png("configuration"), "Start state: pressure without control, probes and jets")
 
 

@@ -48,7 +48,7 @@ def run(setup: Setup) -> None:
     coarse = learning_curves.simulation(group[0])
     flows = {"uncontrolled": None} | {f"seed {run.settings.seed}": run.policy() for run in group}
     numbers, series, spectra = [], [], []
-    for grid, simulation in (("training", coarse), ("fine", finer(coarse))):
+    for grid, simulation in (("training", coarse), ("fine", coarse if setup.miniature else finer(coarse))):
         actions, areas = LONG_RUN * coarse.horizon, []
 
         def look(flows, areas=areas, grid=grid, actions=actions) -> None:
@@ -144,17 +144,22 @@ def plot(setup: Setup) -> None:
     _plot_meshes(axes[2, 1], numbers, [name for name in names if name != "uncontrolled"], colours)
     handles, texts = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, texts, ncols=len(texts), loc="lower center", fontsize=9)
-    learning_curves.save(figure, setup.png("controlled-wake"), "The controlled wake, deterministic policies", below=0.04)
+    learning_curves.save(
+        figure, setup.png("controlled-wake"), "The controlled wake, deterministic policies", below=0.04
+    )
 
 
 def _plot_meshes(axis, numbers: Table, names: list[str], colours: dict[str, str]) -> None:
-    for k, name in enumerate(names):
-        values = [100 * reduction(numbers, name, grid) for grid in ("training", "fine")]
-        axis.bar([k - 0.2, k + 0.2], values, 0.36, color=colours[name])
-        axis.patches[-1].set_alpha(0.5)
-    axis.set_xticks(range(len(names)), [f"{name}: training | fine mesh" for name in names], fontsize=9)
+    for mark, grid in (("o", "training"), ("s", "fine")):
+        values = [100 * reduction(numbers, name, grid) for name in names]
+        axis.scatter(range(len(names)), values, 60, [colours[name] for name in names], marker=mark)
+        axis.plot([], [], mark, color=plots.REFERENCE, label=f"{grid} mesh")
+    free = _row(numbers, "uncontrolled", "training")
+    axis.axhline(100 * (1 - free["c_d_steady"] / free["c_d"]), color="black", lw=1, ls="--", label="steady flow")
+    axis.set_xticks(range(len(names)), names)
+    axis.margins(x=0.3, y=0.4)
+    axis.legend(fontsize=9, ncols=3, loc="upper center")
     axis.set_ylabel("drag reduction [%]")
-    axis.axhline(0, color="black", lw=0.8)
     axis.grid(alpha=0.25, axis="y")
 
 

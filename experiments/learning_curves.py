@@ -140,12 +140,12 @@ def _episodes(series: str, run: Run, updates: int) -> list[dict[str, Any]]:
 
 
 def _updates(series: str, run: Run, updates: int) -> list[dict[str, Any]]:
-    columns = ("staleness_mean", "staleness_max", "clipped_before", "clip_fraction", "approx_kl", "burst")
-    columns += ("collect_s", "learner_s", "wall_s", "clock_s")
+    table = runs.rows(run.folder / "updates.csv")[:updates]
+    columns = [name for name in table[0] if name not in ("update", "episodes", "learning_rate")]
     return [
-        rounded({"series": series, "seed": run.settings.seed, "update": int(row["update"])})
+        {"series": series, "seed": run.settings.seed, "update": int(row["update"])}
         | rounded({name: float(row[name]) for name in columns})
-        for row in runs.rows(run.folder / "updates.csv")[:updates]
+        for row in table
     ]
 
 
@@ -180,6 +180,7 @@ def running_mean(values: np.ndarray, window: int = WINDOW) -> np.ndarray:
 def draw(axis, table: Table, x: str, y: str, colour: str, label: str) -> None:
     """Draw the runs of one series: each thin, their mean thick (of x too, where that is a time)."""
     each = [where(table, seed=seed) for seed in names(table, "seed")]
+    each = [{key: column[np.argsort(run[x], kind="stable")] for key, column in run.items()} for run in each]
     lines = [(run[x], running_mean(run[y])) for run in each]
     for at, values in lines:
         axis.plot(at, values, color=colour, lw=0.6, alpha=0.55)
@@ -218,7 +219,8 @@ def finish(axis, x: str, y: str) -> None:
 def save(figure, path: Path, title: str, below: float = 0.0) -> None:
     """Write a figure, with its title at the left and room below for a legend."""
     figure.suptitle(title, x=0.01, ha="left", fontsize=11)
-    figure.tight_layout(rect=(0, below, 1, 1))
+    if figure.get_layout_engine() is None:
+        figure.tight_layout(rect=(0, below, 1, 1))
     figure.savefig(path)
     plt.close(figure)
 

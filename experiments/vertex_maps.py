@@ -27,6 +27,7 @@ def draw(axis, case: Case, table: Table, field: str, **style):
     axis.add_patch(plt.Circle((0, 0), case.radius, color="#dddddd", lw=0))
     axis.set_aspect("equal")
     axis.set_xlim(*case.x_range)
+    axis.set_xticks(np.arange(0.0, case.x_range[1], 0.25))
     axis.set_ylim(*case.y_range)
     axis.set_ylabel("y [10 D]")
     return picture
