@@ -104,15 +104,11 @@ def write_tables(setup: Setup, name: str, sets: dict[str, list[Run]]) -> None:
     All runs are cut to the length of the shortest.
     """
     pairs = [(series, run) for series, group in sets.items() for run in group]
-    updates = min(_count(run) for _, run in pairs)
+    each = [run.settings.learning for _, run in pairs]
+    updates = min(learning.episodes // learning.update_period for learning in each)
     write(setup.csv(name), [row for series, run in pairs for row in _episodes(series, run, updates)])
     write(setup.csv(f"{name}-updates"), [row for series, run in pairs for row in _updates(series, run, updates)])
     write(setup.csv(f"{name}-final"), [row for series, group in sets.items() for row in _final(series, group, updates)])
-
-
-def _count(run: Run) -> int:
-    learning = run.settings.learning
-    return learning.episodes // learning.update_period
 
 
 def _episodes(series: str, run: Run, updates: int) -> list[dict[str, Any]]:
