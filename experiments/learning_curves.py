@@ -1,5 +1,6 @@
 """Trainings by the set, each run once and kept; their curves as tables, drawn with runs thin and means thick."""
 
+from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from manywake import plots
 from manywake.flow import baseline, case
 from manywake.flow.case import Case
 from manywake.learn import collect, runs, train
-from manywake.learn.engine import Engine, Processes, Threads
+from manywake.learn.engine import Processes, Threads
 from manywake.learn.rollout import JetFlows
 from manywake.learn.runs import Run
 from manywake.learn.settings import PROTOCOLS, Collection, Settings
@@ -79,14 +80,11 @@ def trained(setup: Setup, figure: str, name: str, chosen: Settings) -> Run:
         done += len(episodes)
         setup.progress(what, min(done / learning.episodes, 1.0))
 
-    engine: Engine = Threads(1) if setup.miniature else Processes(layout.workers)
-    try:
+    with closing(Threads(1) if setup.miniature else Processes(layout.workers)) as engine:
         if begun:
             result = train.resume(folder, engine, layout, show)
         else:
             result = train.train(folder, chosen, engine, layout, show)
-    finally:
-        engine.close()
     runs.write_json(folder / "training.json", asdict(result))
     return run
 
@@ -183,9 +181,9 @@ def draw(axis, table: Table, x: str, y: str, colour: str, label: str) -> None:
     axis.plot(*np.mean(lines, axis=0), color=colour, lw=2.2, label=label)
 
 
-def references(axis, chosen: Case = CASE, label: bool = True) -> None:
+def references(axis, label: bool = True) -> None:
     """Draw the uncontrolled flow's C_D and that of the steady base flow."""
-    base = baseline.get(chosen)
+    base = baseline.get(CASE)
     for value, style, name in ((base.shedding.cd_mean, ":", "uncontrolled"), (base.cd_steady, "--", "steady flow")):
         axis.axhline(value, color=plots.REFERENCE, lw=1, ls=style, label=name if label else None)
 
@@ -195,13 +193,12 @@ def plot_against_episodes(setup: Setup, name: str, labels: dict[str, str], title
     table = read(setup.csv(name))
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.2))
     for colour, (series, label) in zip(COLOURS, labels.items(), strict=False):
-        for axis, y in zip(axes, ("c_d", "reward"), strict=True):
-            draw(axis, where(table, series=series), "arrived", y, colour, label)
+        draw(axes[0], where(table, series=series), "arrived", "c_d", colour, label)
+        draw(axes[1], where(table, series=series), "arrived", "reward", colour, label)
     references(axes[0])
     finish(axes[0], "episodes", f"$C_D$, 2nd half of episode, mean of {WINDOW}")
     finish(axes[1], "episodes", "reward of an action")
-    handles, texts = axes[0].get_legend_handles_labels()
-    figure.legend(handles, texts, ncols=len(texts), loc="lower center", fontsize=9)
+    figure.legend(*axes[0].get_legend_handles_labels(), ncols=len(labels) + 2, loc="lower center", fontsize=9)
     save(figure, setup.png(name), title, below=0.07)
 
 
