@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 
-.PHONY: setup train test test-all lint
+.PHONY: setup train figures test test-all lint
 
 setup: $(STAMP)
 
@@ -15,6 +15,9 @@ $(STAMP): pyproject.toml constraints.txt
 
 train: setup
 	$(BIN)/manywake train
+
+figures: setup
+	$(BIN)/manywake figure all
 
 test: setup lint
 	$(BIN)/python -m pytest

@@ -1,4 +1,4 @@
-"""The command line: manywake validate | baseline | train | resume | evaluate | replay | bench.
+"""The command line: manywake validate | baseline | train | resume | evaluate | replay | figure | bench.
 
 Strings become objects here.
 """
@@ -7,12 +7,13 @@ import dataclasses
 import importlib
 import json
 import os
+import shutil
 import signal
 import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import tyro
 from rich.console import Console
@@ -403,6 +404,82 @@ class ReplayCommand:
         return 1 if result.same is False else 0
 
 
+FigureName = Literal[
+    "configuration",
+    "timescales",
+    "synced",
+    "overparallel",
+    "cheating",
+    "action-period",
+    "smoothing",
+    "shares",
+    "controlled-wake",
+]
+"""The experiments, in an order in which those come first whose trainings others use."""
+BY_PROTOCOL = ("synced", "overparallel", "cheating", "action-period", "smoothing", "shares")
+"""Those that train by the paper's protocol, and so can by that of its released code."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Rerun an experiment of the paper: train what is not trained yet, write its tables, draw its figure from them.
+
+    Trainings are kept in runs/figures, so that an interrupted command goes on where it was; tables go to
+    experiments/results, pictures to docs/figures. What each shows and costs: the head of experiments/NAME.py.
+    """
+
+    name: Annotated[FigureName | Literal["all"], tyro.conf.Positional]
+    replot: bool = False
+    """Draw from the tables alone."""
+    protocol: Literal["paper", "code"] = "paper"
+    """The paper's, or that of its released code (linear ramp, its reward), whose files have -code in their names."""
+    fresh: bool = False
+    """Delete the trainings of this experiment first."""
+    miniature: bool = False
+    """Everything in seconds, into runs/miniature; the numbers mean nothing."""
+    json: Json = False
+
+    def run(self) -> int:
+        Setup = _script("figure", "experiments", "experiment").Setup
+        checkout, runs = Path(__file__).parents[2], Path("runs") / ("miniature" if self.miniature else "figures")
+        results, figures = checkout / "experiments" / "results", checkout / "docs" / "figures"
+        if self.miniature:
+            results, figures = runs / "results", runs / "pictures"
+        if self.protocol == "code" and self.name not in (*BY_PROTOCOL, "all"):
+            raise ValueError(f"protocol: {self.name} does not depend on it; wanted one of {', '.join(BY_PROTOCOL)}")
+        every = get_args(FigureName) if self.protocol == "paper" else BY_PROTOCOL
+        found = {}
+        bar = _Bar()
+        with bar.progress:
+            setup = Setup(runs, results, figures, self.protocol, self.miniature, bar)
+            for name in every if self.name == "all" else (self.name,):
+                script = _script("figure", "experiments", name.replace("-", "_"))
+                if self.fresh and not self.replot:
+                    shutil.rmtree(runs / f"{name}{setup.tail}", ignore_errors=True)
+                started = time.perf_counter()
+                if not self.replot:
+                    script.run(setup)
+                script.plot(setup)
+                found[name] = script.summary(setup)
+                minutes = (time.perf_counter() - started) / 60
+                console.print(f"{name}: {minutes:.1f} min; {setup.csv(name)}, {setup.png(name)}", soft_wrap=True)
+        if self.json:
+            print(json.dumps(found))
+        else:
+            Console().print_json(json.dumps(found))
+        return 0
+
+
+def _script(command: str, folder: str, name: str):
+    """Return a script of the checkout; ValueError when the package is installed without one."""
+    path = Path(__file__).parents[2] / folder
+    if not path.exists():
+        raise ValueError(f"{command}: {path} is not there; {folder} are of the source checkout, not of the package")
+    if str(path) not in sys.path:
+        sys.path.insert(0, str(path))
+    return importlib.import_module(name)
+
+
 @dataclass(frozen=True)
 class Bench:
     """Measure, with the scripts in benchmarks/.
@@ -419,11 +496,7 @@ class Bench:
     json: Json = False
 
     def run(self) -> int:
-        folder = Path(__file__).parents[2] / "benchmarks"
-        if not folder.exists():
-            raise ValueError(f"bench: {folder} is not there; benchmarks are of the source checkout, not of the package")
-        sys.path.insert(0, str(folder))
-        script = importlib.import_module(self.what)
+        script = _script("bench", "benchmarks", self.what)
         _print(script.measure(self.lanes) if self.what == "step" else script.measure(), self.json)
         return 0
 
@@ -459,6 +532,7 @@ def main() -> None:
             | Annotated[Resume, tyro.conf.subcommand("resume")]
             | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
             | Annotated[ReplayCommand, tyro.conf.subcommand("replay")]
+            | Annotated[Figure, tyro.conf.subcommand("figure")]
             | Annotated[Bench, tyro.conf.subcommand("bench")],  # type: ignore[arg-type]
             prog="manywake",
             description="Active flow control by deep reinforcement learning, on many simulations at once.",

@@ -1,0 +1,251 @@
+"""Trainings by the set, each run once and kept; their curves as tables, drawn with runs thin and means thick."""
+
+from contextlib import closing
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import policies_in_lanes
+from experiment import Setup, Table, names, read, rounded, spread, where, write
+
+from manywake import plots
+from manywake.flow import baseline, case
+from manywake.flow.case import Case
+from manywake.learn import collect, runs, train
+from manywake.learn.engine import Processes, Threads
+from manywake.learn.rollout import JetFlows
+from manywake.learn.runs import Run
+from manywake.learn.settings import PROTOCOLS, Collection, Settings
+
+CASE = case.by_name("cylinder-jets-goda")
+"""The paper's scheme and time step."""
+WINDOW = 10
+"""Episodes of the running mean that is drawn."""
+LAST = 100
+"""Episodes, the last ones, whose mean is a run's final level."""
+COLOURS = ("#2f6c9f", "#c44e52", "#55a868", "#dd8452", "#8172b3")
+
+
+def seeds(setup: Setup) -> range:
+    """Return the seeds of a series of trainings: three, as in the paper."""
+    return range(2 if setup.miniature else 3)
+
+
+def settings(
+    setup: Setup,
+    seed: int,
+    episodes: int,
+    protocol: str | None = None,
+    chosen: Case = CASE,
+    collection: Collection = Collection(),  # noqa: B008
+    **changes: Any,
+) -> Settings:
+    """Return the settings of one training by protocol (that of the set-up), with changes of its task.
+
+    The protocol's 25 minibatches of an update are kept: a fifth of the batch each, whatever an episode's length.
+    """
+    protocol = protocol or setup.protocol
+    task, learning = PROTOCOLS[protocol]
+    task, learning = replace(task, **changes), replace(learning, episodes=episodes)
+    if setup.miniature:
+        brief = min(task.action_interval, 10 * chosen.time_step)
+        task = replace(task, actions_per_episode=2, action_interval=brief)
+        small = {"update_period": 4, "episodes": 4 * min(episodes // 20, 3), "n_epochs": 1, "hidden": (8, 8)}
+        learning = replace(learning, learner_threads=1, **small)
+    if protocol != "default":
+        batch = max(learning.update_period * task.actions_per_episode // 5, 2)
+        learning = replace(learning, batch_size=batch)
+    return Settings(chosen, task, learning, collection, seed)
+
+
+def trained(setup: Setup, figure: str, name: str, chosen: Settings) -> Run:
+    """Return a training's run: the one that is kept, the one that was stopped brought to its end, or a new one."""
+    folder = setup.runs / f"{figure}{setup.tail}" / f"{name}-s{chosen.seed}"
+    run, what = Run(folder), f"{figure} {name}, seed {chosen.seed}"
+    begun = (folder / "settings.json").exists()
+    if begun and run.settings != chosen:
+        raise ValueError(f"figure: {folder} was made with other settings; delete it, or begin anew with --fresh")
+    if (folder / "training.json").exists():
+        setup.progress(what, 1.0)
+        return run
+    baseline.get(chosen.case, setup.progress)
+    how, learning = chosen.collection, chosen.learning
+    layout = run.layout if begun else collect.layout(how.envs, how.workers, how.lanes, learning.update_period)
+    done = runs.newest(run)[1].version * learning.update_period if begun else 0
+
+    def show(episodes, shares, failures) -> None:
+        nonlocal done
+        done += len(episodes)
+        setup.progress(what, min(done / learning.episodes, 1.0))
+
+    with closing(Threads(1) if setup.miniature else Processes(layout.workers)) as engine:
+        if begun:
+            result = train.resume(folder, engine, layout, show)
+        else:
+            result = train.train(folder, chosen, engine, layout, show)
+    runs.write_json(folder / "training.json", asdict(result))
+    return run
+
+
+def simulation(run: Run) -> JetFlows:
+    """Return what a run played."""
+    played = run.simulation()
+    assert isinstance(played, JetFlows)
+    return played
+
+
+def write_tables(setup: Setup, name: str, sets: dict[str, list[Run]]) -> None:
+    """Write NAME.csv (a row per episode), NAME-updates.csv, and NAME-final.csv (each last policy, deterministic).
+
+    All runs are cut to the length of the shortest.
+    """
+    pairs = [(series, run) for series, group in sets.items() for run in group]
+    each = [run.settings.learning for _, run in pairs]
+    updates = min(learning.episodes // learning.update_period for learning in each)
+    write(setup.csv(name), [row for series, run in pairs for row in _episodes(series, run, updates)])
+    write(setup.csv(f"{name}-updates"), [row for series, run in pairs for row in _updates(series, run, updates)])
+    write(setup.csv(f"{name}-final"), [row for series, group in sets.items() for row in _final(series, group, updates)])
+
+
+def _episodes(series: str, run: Run, updates: int) -> list[dict[str, Any]]:
+    """Return rows in the order episodes came. reward: mean of an action. clock_s: the run's own clock."""
+    unsynced = run.settings.collection.schedule == "unsynced"
+    table = [row for row in runs.rows(run.folder / "episodes.csv") if int(row["update"]) < updates]
+    table.sort(key=lambda row: (float(row["clock_s"]) if unsynced else 0.0, int(row["episode"])))
+    return [
+        rounded(
+            {
+                "series": series,
+                "seed": run.settings.seed,
+                "arrived": k + 1,
+                "version": int(row["version"]),
+                "staleness": int(row["staleness"]),
+                "c_d": float(row["c_d_second_half"]),
+                "c_l": float(row["c_l_second_half"]),
+                "reward": float(row["reward"]) / int(row["length"]),
+                "jet_rms": float(row["jet_rms"]),
+                "clock_s": float(row["clock_s"]),
+            }
+        )
+        for k, row in enumerate(table)
+    ]
+
+
+def _updates(series: str, run: Run, updates: int) -> list[dict[str, Any]]:
+    table = runs.rows(run.folder / "updates.csv")[:updates]
+    columns = [name for name in table[0] if name not in ("update", "episodes", "learning_rate")]
+    return [
+        {"series": series, "seed": run.settings.seed, "update": int(row["update"])}
+        | rounded({name: float(row[name]) for name in columns})
+        for row in table
+    ]
+
+
+def _final(series: str, group: list[Run], updates: int) -> list[dict[str, Any]]:
+    played = simulation(group[0])
+    result = policies_in_lanes.play(played, [run.version(updates) for run in group], played.horizon)
+    half = len(result.c_d) // 2
+    return [
+        rounded(
+            {
+                "series": series,
+                "seed": run.settings.seed,
+                "c_d": result.c_d[half:, k].mean(),
+                "c_l": result.c_l[half:, k].mean(),
+                "jet_rms": np.sqrt(np.mean(result.jets[half:, k] ** 2)) / played.task.max_flow_rate,
+            },
+            5,
+        )
+        for k, run in enumerate(group)
+    ]
+
+
+def running_mean(values: np.ndarray, window: int = WINDOW) -> np.ndarray:
+    """Return the mean over the last `window` values, fewer at the start, without those that are not finite."""
+    there = np.isfinite(values)
+    total, count = np.cumsum(np.where(there, values, 0.0)), np.cumsum(there.astype(float))
+    for sums in (total, count):
+        sums[window:] = sums[window:] - sums[:-window]
+    return np.divide(total, count, out=np.full(len(values), np.nan), where=count > 0)
+
+
+def draw(axis, table: Table, x: str, y: str, colour: str, label: str) -> None:
+    """Draw the runs of one series: each thin, their mean thick (of x too, where that is a time)."""
+    each = [where(table, seed=seed) for seed in names(table, "seed")]
+    each = [{key: column[np.argsort(run[x], kind="stable")] for key, column in run.items()} for run in each]
+    lines = [(run[x], running_mean(run[y])) for run in each]
+    for at, values in lines:
+        axis.plot(at, values, color=colour, lw=0.6, alpha=0.55)
+    axis.plot(*np.mean(lines, axis=0), color=colour, lw=2.2, label=label)
+
+
+def references(axis, label: bool = True) -> None:
+    """Draw the uncontrolled flow's C_D and that of the steady base flow."""
+    base = baseline.get(CASE)
+    for value, style, name in ((base.shedding.cd_mean, ":", "uncontrolled"), (base.cd_steady, "--", "steady flow")):
+        axis.axhline(value, color=plots.REFERENCE, lw=1, ls=style, label=name if label else None)
+
+
+def plot_against_episodes(setup: Setup, name: str, labels: dict[str, str], title: str) -> None:
+    """Draw C_D and the reward of all series against episodes."""
+    table = read(setup.csv(name))
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.2))
+    for colour, (series, label) in zip(COLOURS, labels.items(), strict=False):
+        draw(axes[0], where(table, series=series), "arrived", "c_d", colour, label)
+        draw(axes[1], where(table, series=series), "arrived", "reward", colour, label)
+    references(axes[0])
+    finish(axes[0], "episodes", f"$C_D$, 2nd half of episode, mean of {WINDOW}")
+    finish(axes[1], "episodes", "reward of an action")
+    figure.legend(*axes[0].get_legend_handles_labels(), ncols=len(labels) + 2, loc="lower center", fontsize=9)
+    save(figure, setup.png(name), title, below=0.07)
+
+
+def finish(axis, x: str, y: str) -> None:
+    """Label an axis."""
+    axis.set_xlabel(x)
+    axis.set_ylabel(y)
+    axis.grid(alpha=0.25)
+
+
+def save(figure, path: Path, title: str, below: float = 0.0) -> None:
+    """Write a figure, with its title at the left and room below for a legend."""
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    if figure.get_layout_engine() is None:
+        figure.tight_layout(rect=(0, below, 1, 1))
+    figure.savefig(path)
+    plt.close(figure)
+
+
+def levels(table: Table, column: str = "c_d") -> dict[str, list[float]]:
+    """Return the mean over the last episodes of each run, by series."""
+    return {
+        series: [
+            float(np.nanmean(where(table, series=series, seed=seed)[column][-LAST:]))
+            for seed in names(where(table, series=series), "seed")
+        ]
+        for series in names(table)
+    }
+
+
+def summary(setup: Setup, name: str) -> dict[str, Any]:
+    """Return, by series, first and final level while exploring, and the last policies' own, as mean and deviation."""
+    table, final = read(setup.csv(name)), read(setup.csv(f"{name}-final"))
+    uncontrolled = baseline.get(CASE).shedding.cd_mean
+    found: dict[str, Any] = {}
+    for series in names(table):
+        mine, last = where(table, series=series), where(final, series=series)
+        first = {key: column[mine["version"] == 0] for key, column in mine.items()}
+        drag = levels(mine)[series]
+        found[series] = {
+            "exploring_c_d_first": float(np.nanmean(first["c_d"])),
+            "exploring_c_d": spread(drag),
+            "exploring_reduction": spread(1 - value / uncontrolled for value in drag),
+            "reward_first": float(np.nanmean(first["reward"])),
+            "reward": spread(levels(mine, "reward")[series]),
+            "policy_c_d": spread(last["c_d"]),
+            "policy_reduction": spread(1 - last["c_d"] / uncontrolled),
+            "policy_c_l": last["c_l"].tolist(),
+        }
+    return found

@@ -1,0 +1,166 @@
+"""More environments than an update has episodes: 32 and 60, unsynced, beside synced 20 (the paper's figure 5).
+
+Claim: learning is nearly as good at equal episodes, with clear steps, since several updates follow each other when the
+environments end their episodes at about the same time; the speed-up is 55 to 60 at 60; that the second and third
+update of such a burst are of older policies' episodes does no harm.
+Here: three seeds each, 400 episodes, on the virtual clock, which orders arrivals reproducibly: durations with a spread
+of 0.5 %, an update of 0.3 % of the T_L episodes it is made of (the paper's share). Times are in episodes of one
+environment, drawn in seconds of an episode measured in one lane (`synced`). No harm: the mean final C_D of the seeds is
+not above that of synced 20 by more than twice the standard error of the difference; Welch's p is given beside it.
+Command: manywake figure overparallel
+Cost: 6 trainings beside those of `synced`, 14 min.
+Expected: plateaus of 60 episodes, the first of 120; speed-up of 400 episodes 56 (they are 6.7 rounds of 60). Episodes
+of 60 are 3, 4, 5 updates old, not 0, 1, 2 as in the paper: here an episode keeps the policy it began with, and begins
+before the updates of its round are made; the paper's runner asks the newest policy for every action. The share of
+samples clipped before an update begins shows how far off-policy it is.
+"""
+
+from typing import Any
+
+import learning_curves
+import matplotlib.pyplot as plt
+import numpy as np
+import scipy.stats
+import synced
+from experiment import Setup, Table, names, read, spread, where, write
+from learning_curves import COLOURS
+
+from manywake.learn import schedule
+from manywake.learn.settings import Collection, Learning
+
+EPISODES = 400
+MODEL = Collection(schedule="unsynced", clock="virtual")
+"""The virtual clock: 0.3 s an update, 5 s an episode, spread 0.5 %."""
+
+
+def environments(setup: Setup) -> tuple[int, ...]:
+    return (6, 12) if setup.miniature else (32, 60)
+
+
+def run(setup: Setup) -> None:
+    sets = {"synced 20": synced.trained(setup)}
+    for n in environments(setup):
+        how = Collection(schedule="unsynced", clock="virtual", envs=n)
+        sets[f"unsynced {n}"] = [
+            learning_curves.trained(
+                setup, "overparallel", str(n), learning_curves.settings(setup, seed, EPISODES, collection=how)
+            )
+            for seed in learning_curves.seeds(setup)
+        ]
+    learning_curves.write_tables(setup, "overparallel", sets)
+    table = read(setup.csv("overparallel"))
+    write(setup.csv("overparallel"), _on_the_virtual_clock(setup, table))
+    if not setup.csv("synced-times").exists():
+        synced.run(setup)
+
+
+def _on_the_virtual_clock(setup: Setup, table: Table) -> list[dict[str, Any]]:
+    """Return the rows with their times in episodes of one environment; synced ones get the model's."""
+    rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
+    plans: dict[int, schedule.Plan] = {}
+    for row in rows:
+        for name in ("seed", "arrived", "version", "staleness"):
+            row[name] = int(row[name])
+        if row["series"] == "synced 20":
+            plan = plans.setdefault(row["seed"], _plan(setup, row["seed"], 20, False, len(rows)))
+            row["clock_s"] = plan.time[row["arrived"] - 1]
+        row["clock"] = round(float(row.pop("clock_s")) / MODEL.episode_seconds, 4)
+    return rows
+
+
+def _plan(setup: Setup, seed: int, n: int, unsynced: bool, episodes: int, update: float = MODEL.update_seconds):
+    """Return the schedule on the virtual clock, in its seconds."""
+    period = 4 if setup.miniature else Learning().update_period
+    seconds = schedule.durations(seed, episodes, MODEL.episode_seconds, MODEL.episode_spread)
+    return (schedule.unsynced if unsynced else schedule.synced)(
+        seconds, min(n, period) if not unsynced else n, period, update
+    )
+
+
+def speedup(setup: Setup, n: int, unsynced: bool, update: float = MODEL.update_seconds) -> float:
+    """Return the serial training's time over that of n environments."""
+    ends = [_plan(setup, 0, k, how, EPISODES, update).ready[-1] for k, how in ((1, False), (n, unsynced))]
+    return float(ends[0] / ends[1])
+
+
+def plot(setup: Setup) -> None:
+    table, updates = read(setup.csv("overparallel")), read(setup.csv("overparallel-updates"))
+    seconds = synced.times(setup)["episode_s"]
+    table["minutes"] = table["clock"] * seconds / 60
+    figure, axes = plt.subplots(2, 3, figsize=(14, 7))
+    for colour, series in zip(COLOURS, names(table), strict=False):
+        mine = where(table, series=series)
+        for row, y in enumerate(("c_d", "reward")):
+            for column, x in enumerate(("arrived", "minutes")):
+                learning_curves.draw(axes[row, column], mine, x, y, colour, series)
+        _draw_updates(axes[1, 2], where(updates, series=series, seed=0), colour, series)
+    for axis in axes[0, :2]:
+        learning_curves.references(axis)
+    time = f"time [min], virtual clock: episode {seconds:.2f} s, learner 0.3 %"
+    for row, label in enumerate(("$C_D$, 2nd half of episode", "reward of an action")):
+        learning_curves.finish(axes[row, 0], "episodes", label)
+        learning_curves.finish(axes[row, 1], time, label)
+    axes[0, 0].legend(fontsize=9)
+    _plot_speedup(setup, axes[0, 2])
+    axes[1, 2].legend(fontsize=8, loc="upper right")
+    axes[1, 2].set_ylim(top=1.6 * axes[1, 2].get_ylim()[1])
+    learning_curves.finish(axes[1, 2], "update (seed 0)", "age of its episodes (line)\nupdates in a row (dots)")
+    title = "More environments than an update has episodes: runs thin, means thick"
+    learning_curves.save(figure, setup.png("overparallel"), title)
+
+
+def _draw_updates(axis, updates: Table, colour: str, label: str) -> None:
+    axis.plot(updates["update"], updates["staleness_mean"], color=colour, drawstyle="steps-mid", label=label)
+    axis.plot(updates["update"], updates["burst"], "o", color=colour, ms=4)
+
+
+def _plot_speedup(setup: Setup, axis) -> None:
+    counts = sorted([(1, False), (20, False), *((n, True) for n in environments(setup))])
+    n = [count for count, _ in counts]
+    axis.plot(n, n, color="#555555", lw=1, ls="--", label="ideal")
+    models = (("0.3 % (the paper's)", MODEL.update_seconds), ("as measured here", _ours(setup)))
+    for colour, (learner, update) in zip(COLOURS, models, strict=False):
+        speedups = [speedup(setup, *count, update) for count in counts]
+        axis.plot(n, speedups, "o-", color=colour, label=f"derived, learner {learner}")
+    axis.legend(fontsize=9, loc="upper left")
+    learning_curves.finish(axis, "environments", f"speed-up, {EPISODES} episodes")
+
+
+def _ours(setup: Setup) -> float:
+    """Return our learner's update in the virtual clock's seconds."""
+    one = synced.times(setup)
+    return one["update_s"] / one["episode_s"] * MODEL.episode_seconds
+
+
+def harm(drag: dict[str, list[float]], reference: str = "synced 20") -> dict[str, dict[str, Any]]:
+    """Compare the final drag of the seeds with that of the reference; positive differences are harm."""
+    found = {}
+    for series in drag.keys() - {reference}:
+        (a, da), (b, db) = spread(drag[series]), spread(drag[reference])
+        error = float(np.sqrt(da**2 / len(drag[series]) + db**2 / len(drag[reference])))
+        test = scipy.stats.ttest_ind(drag[series], drag[reference], equal_var=False, alternative="greater")
+        found[series] = {
+            "difference": a - b,
+            "standard_error": error,
+            "p_of_harm": float(test.pvalue),
+            "no_harm": a - b <= 2 * error,
+        }
+    return found
+
+
+def summary(setup: Setup) -> dict:
+    table, updates = read(setup.csv("overparallel")), read(setup.csv("overparallel-updates"))
+    final = read(setup.csv("overparallel-final"))
+    rows = learning_curves.summary(setup, "overparallel")
+    for series, row in rows.items():
+        mine = where(updates, series=series)
+        for name in ("staleness_mean", "staleness_max", "clipped_before", "clip_fraction", "burst"):
+            row[name] = float(np.nanmax(mine[name]) if name.endswith("max") else np.nanmean(mine[name]))
+        n = int(series.split()[1])
+        row["speedup_paper_learner"] = speedup(setup, n, series.startswith("unsynced"))
+        row["speedup_our_learner"] = speedup(setup, n, series.startswith("unsynced"), _ours(setup))
+    policies = {series: where(final, series=series)["c_d"].tolist() for series in names(final)}
+    return rows | {
+        "harm_exploring": harm(learning_curves.levels(table)),
+        "harm_policy": harm(policies),
+    }

@@ -1,0 +1,235 @@
+"""Training with 1, 2, 5, 10 and 20 environments, synced (the paper's figure 4).
+
+Claim: with a divider of T_L = 20 environments, synced, the learning curves are identical, so the speed-up is N.
+Here: three seeds of 400 episodes with N = 20. An episode depends on its number, not on who plays it, so the other N
+have the same curves to the bit: proved by training seed 0 anew with each N for the first RERUN_UPDATES updates; a
+difference of one bit is an error. Their times are derived (`schedule.synced`) from the duration of an episode that has
+one core and one lane for itself, measured with N = 1; N = 1 and 2 are compared with the wall clock.
+Command: manywake figure synced
+Cost: three trainings, 7 min; the other N, 9 min (of these N = 1, alone on a core without lanes, 4).
+Expected: identical True everywhere; speed-up near N at the learner's 0.3 % that the paper had, and less with ours,
+whose episodes are so short that the learner counts: Amdahl's law, `shares`.
+"""
+
+from dataclasses import fields
+from typing import Any
+
+import learning_curves
+import matplotlib.pyplot as plt
+import numpy as np
+from experiment import Setup, Table, names, read, rounded, where, write
+from learning_curves import COLOURS
+
+from manywake.flow import disk
+from manywake.learn import runs, schedule
+from manywake.learn.runs import Run
+from manywake.learn.settings import Collection, Learning
+
+EPISODES = 400
+RERUN_UPDATES = 5
+"""Updates of N = 1, 2, 5, 10 that are trained anew; 20 are the whole training (half an hour more)."""
+OTHERS = (1, 2, 5, 10)
+PAPER_SHARE = 0.003
+"""The learner's share of the paper's serial training."""
+
+
+def trained(setup: Setup) -> list[Run]:
+    """Return the runs with as many environments as an update has episodes, a seed each."""
+    return [
+        learning_curves.trained(setup, "synced", "20", learning_curves.settings(setup, seed, EPISODES))
+        for seed in learning_curves.seeds(setup)
+    ]
+
+
+def rerun(setup: Setup, environments: int) -> Run:
+    """Return the first updates of seed 0 with another number of environments; 1 and 2 have a core and one lane each."""
+    chosen = learning_curves.settings(
+        setup,
+        0,
+        RERUN_UPDATES * Learning().update_period,
+        collection=Collection(envs=environments, lanes=1 if environments <= 2 else None),
+    )
+    return learning_curves.trained(setup, "synced", str(environments), chosen)
+
+
+def others(setup: Setup) -> tuple[int, ...]:
+    return OTHERS if not setup.miniature else (1, 2)
+
+
+def run(setup: Setup) -> None:
+    group = trained(setup)
+    learning_curves.write_tables(setup, "synced", {"N = 20": group})
+    again = {environments: rerun(setup, environments) for environments in others(setup)}
+    write(setup.csv("synced-times"), [_times(run) for run in [*again.values(), group[0]]])
+    proof = [_compared(group[0], run, environments) for environments, run in again.items()]
+    write(setup.csv("synced-proof"), proof)
+    different = [row["environments"] for row in proof if not row["identical"]]
+    if different:
+        raise RuntimeError(
+            f"synced: seed 0 with {different} environments differs from 20; see {setup.csv('synced-proof')}"
+        )
+
+
+def _compared(whole: Run, part: Run, environments: int) -> dict[str, Any]:
+    """Compare all numbers of the episodes but the times, and the policy after the last update, to the bit."""
+    updates = part.settings.learning.episodes // part.settings.learning.update_period
+    a, b = (_untimed(run, updates) for run in (whole, part))
+    digests = [policy_digest(run, updates) for run in (whole, part)]
+    return {
+        "environments": environments,
+        "episodes": len(b),
+        "numbers": sum(len(row) for row in b),
+        "different": sum(x != y for x, y in zip(a, b, strict=True)),
+        "policy": digests[1],
+        "policy_of_20": digests[0],
+        "identical": a == b and digests[0] == digests[1],
+    }
+
+
+def _untimed(run: Run, updates: int) -> list[tuple[str, ...]]:
+    rows = [row for row in runs.rows(run.folder / "episodes.csv") if int(row["update"]) < updates]
+    return [tuple(value for name, value in row.items() if not name.endswith("_s")) for row in rows]
+
+
+def policy_digest(run: Run, version: int) -> str:
+    """Return the hash of a policy's weights, normaliser and noise."""
+    policy = run.version(version)
+    arrays = {f.name: getattr(policy, f.name) for f in fields(policy) if f.name not in ("version", "layers")}
+    arrays |= {f"{k}{part}": array for k, layer in enumerate(policy.layers) for part, array in enumerate(layer)}
+    return disk.digest(arrays)
+
+
+def _times(run: Run) -> dict[str, Any]:
+    """Return what episodes and updates took, and what the schedule makes of the very durations that were measured.
+
+    Of the updates after the first, which also loads compiled code. episode_s, spread: of one environment; with lanes,
+    its share of a block. schedule_s: only without lanes, where an environment's episodes are its own.
+    """
+    layout, period = run.layout, run.settings.learning.update_period
+    first, *updates = runs.rows(run.folder / "updates.csv")[:RERUN_UPDATES]
+    rows = runs.rows(run.folder / "episodes.csv")[period : (len(updates) + 1) * period]
+    seconds = np.array([float(row["flow_s"]) + float(row["policy_s"]) for row in rows])
+    learner = np.mean([float(row["learner_s"]) for row in updates])
+    plan = schedule.synced(seconds, layout.environments, period, float(learner))
+    return rounded(
+        {
+            "environments": layout.environments,
+            "workers": layout.workers,
+            "lanes": layout.lanes,
+            "episode_s": seconds.mean(),
+            "spread": seconds.std() / seconds.mean(),
+            "update_s": learner,
+            "updates": len(updates),
+            "collect_s": sum(float(row["collect_s"]) for row in updates),
+            "wall_s": float(updates[-1]["wall_s"]) - float(first["wall_s"]),
+            "schedule_s": plan.ready[-1] if layout.lanes == 1 else np.nan,
+        }
+    )
+
+
+def times(setup: Setup) -> dict[str, float]:
+    """Return the measured times of one environment in one lane on one core."""
+    table = where(read(setup.csv("synced-times")), environments=1)
+    return {name: float(column[0]) for name, column in table.items()}
+
+
+def derived(setup: Setup, environments: int, seed: int, episodes: int, learner: float | None = None) -> schedule.Plan:
+    """Return when episodes would come with a core for each environment; learner: share of a serial training's time."""
+    one, period = times(setup), 4 if setup.miniature else Learning().update_period
+    update = one["update_s"] if learner is None else learner / (1 - learner) * period * one["episode_s"]
+    seconds = schedule.durations(seed, episodes, one["episode_s"], one["spread"])
+    return schedule.synced(seconds, environments, period, update)
+
+
+def speedup(setup: Setup, learner: float | None = None) -> dict[int, float]:
+    """Return the serial training's time over that of each N."""
+    ends = {n: derived(setup, n, 0, EPISODES, learner).ready[-1] for n in (*others(setup), _most(setup))}
+    return {n: float(ends[1] / end) for n, end in ends.items()}
+
+
+def _most(setup: Setup) -> int:
+    return 4 if setup.miniature else 20
+
+
+def plot(setup: Setup) -> None:
+    table, proof = read(setup.csv("synced")), read(setup.csv("synced-proof"))
+    figure = plt.figure(figsize=(14, 7))
+    grid = figure.add_gridspec(2, 3)
+    for row, (y, label) in enumerate((("c_d", "$C_D$, 2nd half of episode"), ("reward", "reward of an action"))):
+        axis = figure.add_subplot(grid[row, 0])
+        learning_curves.draw(axis, table, "arrived", y, COLOURS[0], "N = 20, 3 seeds")
+        if y == "c_d":
+            learning_curves.references(axis)
+            axis.legend(fontsize=9, title=_proved(proof), title_fontsize=8)
+        learning_curves.finish(axis, "episodes", label)
+        axis = figure.add_subplot(grid[row, 1])
+        for colour, n in zip(COLOURS, (*others(setup), _most(setup)), strict=False):
+            learning_curves.draw(axis, _against_time(setup, table, n), "minutes", y, colour, f"N = {n}")
+        learning_curves.finish(axis, "time [min], derived: a core and one lane for each of N", label)
+        axis.set_xscale("log")
+        if y == "c_d":
+            learning_curves.references(axis, label=False)
+            axis.legend(fontsize=9)
+    _plot_speedup(setup, figure.add_subplot(grid[:, 2]))
+    learning_curves.save(figure, setup.png("synced"), "Synced training with N environments: runs thin, mean thick")
+
+
+def _proved(proof: Table) -> str:
+    same = all(proof["identical"] == "True")
+    which = ", ".join(f"{n:g}" for n in proof["environments"])
+    return (
+        f"N = {which}: the same to the bit\n(seed 0, {proof['episodes'][0]:g} episodes anew)"
+        if same
+        else "NOT the same"
+    )
+
+
+def _against_time(setup: Setup, table: Table, environments: int) -> Table:
+    """Return the curves of N = 20 at the times that N environments would have had them."""
+    minutes = [
+        derived(setup, environments, int(seed), len(where(table, seed=seed)["seed"])).time / 60
+        for seed in names(table, "seed")
+    ]
+    return {**table, "minutes": np.concatenate(minutes)}
+
+
+def _plot_speedup(setup: Setup, axis) -> None:
+    ours, theirs = speedup(setup), speedup(setup, PAPER_SHARE)
+    n = list(ours)
+    axis.plot(n, n, color="#555555", lw=1, ls="--", label="ideal")
+    axis.plot(n, list(theirs.values()), "o-", color=COLOURS[0], label="derived, learner 0.3 % (the paper's)")
+    axis.plot(n, list(ours.values()), "s-", color=COLOURS[1], label="derived, our learner as measured")
+    wall = measured(setup)
+    axis.plot([1, 2], [1, wall["wall_speedup_of_2"]], "k*", ms=11, label="wall clock, 1 and 2 processes")
+    axis.legend(fontsize=9, loc="upper left")
+    learning_curves.finish(axis, "environments N", "speed-up")
+
+
+def measured(setup: Setup) -> dict[str, float]:
+    """Return how the schedule compares with the wall clock, and what lanes bring beside it."""
+    table = read(setup.csv("synced-times"))
+    one, two = (where(table, environments=n) for n in (1, 2))
+    most = where(table, environments=_most(setup))
+    return {
+        "wall_speedup_of_2": float(one["wall_s"][0] / two["wall_s"][0]),
+        "derived_speedup_of_2": speedup(setup)[2],
+        "wall_over_schedule_1": float(one["wall_s"][0] / one["schedule_s"][0]),
+        "wall_over_schedule_2": float(two["wall_s"][0] / two["schedule_s"][0]),
+        "episode_s": float(one["episode_s"][0]),
+        "episode_s_beside_another": float(two["episode_s"][0]),
+        "episode_spread": float(one["spread"][0]),
+        "update_s": float(one["update_s"][0]),
+        "collecting_with_lanes_over_one_environment": float(one["collect_s"][0] / most["collect_s"][0]),
+    }
+
+
+def summary(setup: Setup) -> dict:
+    proof = read(setup.csv("synced-proof"))
+    return {
+        **learning_curves.summary(setup, "synced"),
+        "identical": bool(all(proof["identical"] == "True")),
+        "episodes_compared": {f"{n:g}": int(k) for n, k in zip(proof["environments"], proof["episodes"], strict=True)},
+        "speedup_derived_paper_learner": speedup(setup, PAPER_SHARE),
+        "speedup_derived_our_learner": speedup(setup),
+        "measured": measured(setup),
+    }
