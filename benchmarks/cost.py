@@ -2,9 +2,9 @@
 
 Run: manywake bench cost --json   (needs the gmsh extra)
 
-The meshes are the shipped one's sizes times a factor. Time is that of blocks of eight lanes, forces included, from a state
-at rest: a step costs the same whatever the flow does. Memory of a flow is what a batch of eight holds and, for the
-time of a call, needs beside it, over eight; what all flows of a process share is given apart.
+The meshes are the shipped one's sizes times a factor. Time is that of blocks of eight lanes, forces included, from a
+state at rest: a step costs the same whatever the flow does. Memory of a flow is what a batch of eight holds and, for
+the time of a call, needs beside it, over eight; what all flows of a process share is given apart.
 """
 
 import dataclasses
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from manywake.flow import mesh, operators
+from manywake.flow import mesh, operators, space
 from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.case import CASES, Resolution
 from manywake.flow.operators import Operators
@@ -34,10 +34,7 @@ def build(factor: float) -> Operators:
     resolution = dataclasses.replace(Resolution(), **lengths, jet_facets=facets)
     case = dataclasses.replace(case, resolution=resolution)
     grid = mesh.build(case)
-    nodes = len(grid.points) + len(
-        np.unique(np.sort(grid.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0)
-    )
-    return operators.assemble(case, grid, np.zeros((nodes, 2)))
+    return operators.assemble(case, grid, np.zeros_like(space.build(grid).x))
 
 
 def row(factor: float) -> dict[str, Any]:

@@ -3,8 +3,8 @@
 Run: manywake bench roofline --json
 
 One core, one block of lanes, arrays as in a step. Peak and bandwidth are measured here too, by loops that do nothing
-else: independent fused multiply-adds in registers, and reads of an array as large as what a step reads. Arithmetic counts
-an add, a multiply and each half of a fused multiply-add as one; traffic counts every array of a kernel once for
+else: independent fused multiply-adds in registers, and reads of an array as large as what a step reads. Arithmetic
+counts an add, a multiply and each half of a fused multiply-add as one; traffic counts every array of a kernel once for
 each pass over it, which is the least it can be while the arrays do not fit the nearest cache.
 """
 

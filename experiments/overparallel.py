@@ -3,7 +3,7 @@
 Claim: learning is nearly as good at equal episodes, with clear steps, since several updates follow each other when the
 environments end their episodes at about the same time; the speed-up is 55 to 60 at 60; that the second and third
 update of such a burst are of older policies' episodes does no harm.
-Here: three seeds each, 400 episodes, on the virtual clock, which orders arrivals reproducibly: durations with a spread
+Here: three seeds each, 300 episodes, on the virtual clock, which orders arrivals reproducibly: durations with a spread
 of 0.5 %, an update of 0.3 % of the T_L episodes it is made of (the paper's share). Times are in episodes of one
 environment, drawn in seconds of an episode measured in one lane (`synced`). No harm: the mean final C_D of the seeds is
 not above that of synced 20 by more than twice the standard error of the difference; Welch's p is given beside it.
@@ -28,7 +28,7 @@ from learning_curves import COLOURS
 from manywake.learn import schedule
 from manywake.learn.settings import Collection, Learning
 
-EPISODES = 400
+EPISODES = 300
 MODEL = Collection(schedule="unsynced", clock="virtual")
 """The virtual clock: 0.3 s an update, 5 s an episode, spread 0.5 %."""
 
