@@ -26,7 +26,7 @@ from experiment import Setup, Table, names, read, spread, where, write
 from learning_curves import COLOURS
 
 from manywake.learn import schedule
-from manywake.learn.settings import Collection, Learning
+from manywake.learn.settings import PAPER_LEARNING, Collection
 
 EPISODES = 300
 MODEL = Collection(schedule="unsynced", clock="virtual")
@@ -70,7 +70,7 @@ def _on_the_virtual_clock(setup: Setup, table: Table) -> list[dict[str, Any]]:
 
 def _plan(setup: Setup, seed: int, n: int, unsynced: bool, episodes: int, update: float = MODEL.update_seconds):
     """Return the schedule on the virtual clock, in its seconds."""
-    period = 4 if setup.miniature else Learning().update_period
+    period = 4 if setup.miniature else PAPER_LEARNING.update_period
     seconds = schedule.durations(seed, episodes, MODEL.episode_seconds, MODEL.episode_spread)
     return (schedule.unsynced if unsynced else schedule.synced)(
         seconds, min(n, period) if not unsynced else n, period, update

@@ -23,7 +23,7 @@ from learning_curves import COLOURS
 from manywake.flow import disk
 from manywake.learn import runs, schedule
 from manywake.learn.runs import Run
-from manywake.learn.settings import Collection, Learning
+from manywake.learn.settings import PAPER_LEARNING, Collection
 
 EPISODES = 300
 RERUN_UPDATES = 3
@@ -46,7 +46,7 @@ def rerun(setup: Setup, environments: int) -> Run:
     chosen = learning_curves.settings(
         setup,
         0,
-        RERUN_UPDATES * Learning().update_period,
+        RERUN_UPDATES * PAPER_LEARNING.update_period,
         collection=Collection(envs=environments, lanes=1 if environments <= 2 else None),
     )
     return learning_curves.trained(setup, "synced", str(environments), chosen)
@@ -135,7 +135,7 @@ def times(setup: Setup) -> dict[str, float]:
 
 def derived(setup: Setup, environments: int, seed: int, episodes: int, learner: float | None = None) -> schedule.Plan:
     """Return when episodes would come with a core for each environment; learner: share of a serial training's time."""
-    one, period = times(setup), 4 if setup.miniature else Learning().update_period
+    one, period = times(setup), 4 if setup.miniature else PAPER_LEARNING.update_period
     update = one["update_s"] if learner is None else learner / (1 - learner) * period * one["episode_s"]
     seconds = schedule.durations(seed, episodes, one["episode_s"], one["spread"])
     return schedule.synced(seconds, environments, period, update)

@@ -19,15 +19,15 @@ from ..test_rollout import physics
 TASK, LEARNING = PROTOCOLS["default"]
 
 
-def test_default_training_removes_seven_per_cent_of_the_drag_and_holds(tmp_path):
+def test_default_training_removes_seven_and_a_half_per_cent_of_the_drag_and_holds(tmp_path):
     settings = Settings(case.by_name("cylinder-jets"), TASK, LEARNING, Collection(), seed=0)
-    engine = Processes(3)
-    train.train(tmp_path / "run", settings, engine, Layout(20, 3, 8))
+    engine = Processes(2)
+    train.train(tmp_path / "run", settings, engine, Layout(16, 2, 8))
     engine.close()
     run = runs.Run(tmp_path / "run")
     result = evaluate.evaluate(run.simulation(), run.policy(), Threads(2))
     for control in (result.episode, result.long_run, *result.phases):
-        assert 0.07 <= control.drag_reduction <= 0.0805
+        assert 0.075 <= control.drag_reduction <= 0.0805
         assert abs(control.cl_mean) <= 0.15
 
 
@@ -38,7 +38,7 @@ def three_updates(tmp_path_factory):
     def run(name, engine, layout):
         folder = tmp_path_factory.mktemp("runs") / name
         settings = Settings(
-            case.by_name("cylinder-jets"), TASK, dataclasses.replace(LEARNING, episodes=60), Collection(), seed=1
+            case.by_name("cylinder-jets"), TASK, dataclasses.replace(LEARNING, episodes=48), Collection(), seed=1
         )
         try:
             return folder, train.train(folder, settings, engine, layout).policy_sha256
@@ -57,13 +57,13 @@ def columns(folder) -> list[tuple]:
 
 
 def test_three_updates_are_the_same_for_every_number_of_environments_and_engine(three_updates):
-    folder, wanted = three_updates("20", Processes(3), Layout(20, 3, 8))
+    folder, wanted = three_updates("16", Processes(2), Layout(16, 2, 8))
     for name, engine, layout in (
         ("10", Threads(2), Layout(10, 2, 5)),
         ("5", Processes(2), Layout(5, 2, 3)),
         ("2", Processes(2), Layout(2, 2, 1)),
         ("1", Threads(1), Layout(1, 1, 1)),
-        ("ray", Ray(2), Layout(20, 2, 8)),
+        ("ray", Ray(2), Layout(16, 2, 8)),
     ):
         other, found = three_updates(name, engine, layout)
         assert (name, found) == (name, wanted)

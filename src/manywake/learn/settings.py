@@ -11,9 +11,9 @@ from manywake.flow.case import Case
 class Learning:
     """Settings of the learner; names are Stable-Baselines3's where it has one."""
 
-    update_period: int = 20
-    """Episodes per update, T_L of the paper."""
-    episodes: int = 320
+    update_period: int = 16
+    """Episodes per update, T_L of the paper, which has 20. 16 are a block of eight lanes for each of two cores."""
+    episodes: int = 256
     """Episodes in all."""
     learning_rate: float = 5e-4
     """Adam's step at the first update."""
@@ -48,6 +48,7 @@ class Learning:
 
 
 PAPER_LEARNING = Learning(
+    update_period=20,
     episodes=400,
     learning_rate=1e-3,
     learning_rate_end=1e-3,
