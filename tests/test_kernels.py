@@ -121,9 +121,7 @@ def test_linear_terms(number, seed, tested, more, m):
     e, d, p, out = (normal(rng, shape, number) for shape in ((n, 2), (n, 2), (m, 1), (n, 2)))
 
     def call(e, d, p, out):
-        kernels.linear_terms(
-            order.astype(np.uint32), *linear, simd.pairs(e), simd.pairs(d), *gradient, p, simd.pairs(out)
-        )
+        kernels.linear_terms(*linear, simd.pairs(e), simd.pairs(d), *gradient, p, simd.pairs(out))
 
     ours = run(call, e, d, p, out)[3]
     twin = naive.linear_terms(H, e.astype(float), d.astype(float), G, p.astype(float), out.astype(float))
