@@ -151,9 +151,9 @@ def work(ops: Operators, width: int) -> dict[str, tuple[Callable[[int], Any], in
             _size(t.momentum, t.momentum.row, y, y, y, y),
         ),
         "divergence": (
-            lambda k: _divergence(k, t, y, phi),
+            lambda k: _divergence(k, t, u, phi),
             4 * len(t.divergence.column) * width,
-            _size(t.divergence, y, phi),
+            _size(t.divergence, u, phi),
         ),
         "pressure solve": (
             lambda k: _solve(k, t.poisson, phi),

@@ -186,17 +186,14 @@ def test_single_precision_of_increments_does_not_show_in_the_forces(ops, base):
     flows = [FlowBatch(o, base.start, 4) for o in (ops, in_doubles(ops.case, base.mesh, base.mean))]
     singles, doubles = (flow.advance(np.stack([q, -q], axis=1)) for flow in flows)
     difference = abs(singles - doubles)
-    assert difference.max() < 1e-4  # measured 5.1e-5
+    assert difference.max() < 1e-5  # measured 2.8e-6
     rms = np.sqrt(np.mean(difference.reshape(len(actions), steps, 2, 4) ** 2, axis=(1, 3)))
-    assert (rms < 4e-5).all()  # measured 1.8e-5 in C_D and 1.1e-5 in C_L
+    assert (rms < 1e-6).all()  # measured 3.3e-7 in C_D and 5.3e-7 in C_L
     assert (rms[-1] < 2 * rms[0]).all()  # and it does not grow
     for column in range(4):
         ours, twin = (flow.state(column) for flow in flows)
-        assert abs(ours.u - twin.u).max() < 2e-6  # measured 5.8e-7, of velocities up to 2.4
-        # measured 5.2e-4 of pressures up to 3.9: nearly the same at all vertices, since the flux of a rounded velocity
-        # is off by its last bit, and what is missing must come from the outlet within one time step
-        assert abs(ours.p - twin.p).max() < 2e-3
-        assert np.std(ours.p - twin.p) < 2e-4  # measured 8.8e-5
+        assert abs(ours.u - twin.u).max() < 2e-6  # measured 3.6e-7, of velocities up to 2.4
+        assert abs(ours.p - twin.p).max() < 5e-6  # measured 1.1e-6, of pressures up to 3.9
 
 
 def test_mean_flow_advection_and_damping_are_second_order_in_time():

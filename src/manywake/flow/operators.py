@@ -27,7 +27,7 @@ from manywake.flow.space import Space
 class Tables(NamedTuple):
     """The arrays the compiled time loop reads, in the solver's order. Coefficients of the scheme stand in `numbers`.
 
-    What acts on rounded fields is float32 as they are: elements, linear, gradient, coupling, divergence and factors.
+    What acts on rounded fields is float32 as they are: elements, linear, gradient, coupling and factors.
     fixed: (nodes on Dirichlet boundaries, 2), their values without jets. force: columns and weights of A^T phi.
     """
 
@@ -267,11 +267,11 @@ def from_boundary_data(
         "coupling_rows": coupling_rows.astype(np.uint32),
         "coupling": to_fixed._replace(column=to_fixed.column + np.uint32(len(free))),
         "momentum": momentum,
-        "divergence": factors.pair(*(-scheme.new / dt * B[p_free][:, velocity_order] for B in (Bx, By))),
         "poisson": poisson,
     }
     tables = Tables(
         **{name: _rounded(part, precision) for name, part in acting.items()},
+        divergence=factors.pair(*(-scheme.new / dt * B[p_free][:, velocity_order] for B in (Bx, By))),
         fixed=steady[velocity_order[len(free) :]],
         jet_rows=jet_rows.astype(np.uint32),
         jet_profile=np.ascontiguousarray(profiles[:, velocity_order[jet_rows]]),

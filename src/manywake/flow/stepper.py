@@ -87,13 +87,12 @@ def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, p_star, jets, force):
             new = add(_ahead(ahead, u_old, u, i), double(load(y, i, 0)))
             store(u, i, 0, new)
             step = sub(new, old)
-            store(y, i, 0, rounded(new, y))
             store(d, i, 0, rounded(step, d))
             store(e, i, 0, rounded(fma(ahead, step, new), e))
 
         # pressure at t + dt (eq. 10, 11), and its part in the force
         phi, phi_old = phi_old, phi
-        divergence(ops.divergence.start, ops.divergence.column, ops.divergence.value, y, phi)
+        divergence(ops.divergence.start, ops.divergence.column, ops.divergence.value, u, phi)
         m = ops.poisson
         solve(
             m.first, m.row_start, m.row, m.lower_start, m.lower, m.upper, m.lower_corner, m.upper_corner,

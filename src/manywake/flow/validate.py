@@ -28,8 +28,8 @@ SETTLE = 4.0
 """What of it is not averaged: the start-up of the jets, and on the fine mesh the interpolated start state."""
 TOLERANCE = 0.02
 """Of the changes of C_D and C_L by the jets against those on the fine mesh."""
-STEADY = 2e-4
-"""The flow is steady when C_D moved less than this during one unit of time; rounding to singles moves it by 9e-5..."""
+STEADY = 1e-5
+"""The flow is steady when C_D moved less than this during one unit of time; rounding to singles moves it by 3e-6..."""
 STEADY_MOST = 60.0
 """...which must be so before this time."""
 
