@@ -96,7 +96,7 @@ def test_an_unknown_checkpoint_is_refused_with_those_there_are(run):
 
 def test_episodes_must_be_a_multiple_of_the_update_period():
     with pytest.raises(ValueError, match="got 30, wanted a multiple of the update period 20"):
-        Learning(episodes=30)
+        Learning(update_period=20, episodes=30)
 
 
 def test_the_papers_protocol_is_there_by_name():
