@@ -192,7 +192,13 @@ def test_no_solver_is_left_when_all_above_it_is_killed():
 # ---- a solver of one's own, under manywake's training
 
 LEARNING = Learning(
-    update_period=10, episodes=60, learning_rate=3e-3, batch_size=100, hidden=(32, 32), learner_threads=1
+    update_period=10,
+    episodes=60,
+    learning_rate=3e-3,
+    batch_size=100,
+    log_std_init=-1.0,
+    hidden=(32, 32),
+    learner_threads=1,
 )
 
 
