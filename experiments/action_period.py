@@ -2,7 +2,7 @@
 
 Claim: with T_a of 0.45 % of a shedding period T_K exploration moves nothing, with 100 % an action cannot follow the
 phase; in between, at 10 %, the policy learns. Three runs each, episodes of equal physical length (six periods).
-Here: T_a = 3, 66, 661 steps of 5e-4, that is 1322, 60 and 6 actions an episode; 120 episodes. A minibatch is always a
+Here: T_a = 3, 66, 661 steps of 5e-4, that is 1322, 60 and 6 actions an episode; 100 episodes. A minibatch is always a
 fifth of the batch, and the discount of an action is 0.99 whatever T_a is, as the paper says nothing else.
 Command: manywake figure action-period
 Cost: 9 trainings, about 19 min (1322 actions make an update of 7 s instead of 1.5).
@@ -14,7 +14,7 @@ import learning_curves
 from experiment import Setup
 from learning_curves import CASE
 
-EPISODES = 120
+EPISODES = 100
 ACTIONS = {3: 1322, 66: 60, 661: 6}
 """Steps of an action -> actions of an episode: 3966, 3960 and 3966 steps."""
 SHARES = {3: "0.45 %", 66: "10 %", 661: "100 %"}
