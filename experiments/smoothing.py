@@ -2,7 +2,7 @@
 
 Claim: the value of alpha has little to say, all laws learn; the linear ramp is slightly slower, because it reaches the
 action later. Three runs each.
-Here: eq. 2 with alpha = 0.05, 0.1, 0.2 and the linear ramp of the released code, 120 episodes; the paper's figure
+Here: eq. 2 with alpha = 0.05, 0.1, 0.2 and the linear ramp of the released code, 100 episodes; the paper's figure
 does not say which alphas it shows. alpha = 0.1 is `synced`, whose runs are used. With `--protocol code` the reward is
 the released code's, under all four laws.
 Command: manywake figure smoothing
@@ -14,7 +14,7 @@ import learning_curves
 import synced
 from experiment import Setup
 
-EPISODES = 120
+EPISODES = 100
 ALPHAS = (0.05, 0.1, 0.2)
 
 
