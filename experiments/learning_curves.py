@@ -23,7 +23,7 @@ CASE = case.by_name("cylinder-jets-goda")
 """The paper's scheme and time step."""
 WINDOW = 10
 """Episodes of the running mean that is drawn."""
-LAST = 100
+LAST = 60
 """Episodes, the last ones, whose mean is a run's final level."""
 COLOURS = ("#2f6c9f", "#c44e52", "#55a868", "#dd8452", "#8172b3")
 
