@@ -5,7 +5,7 @@ phase; in between, at 10 %, the policy learns. Three runs each, episodes of equa
 Here: T_a = 3, 66, 661 steps of 5e-4, that is 1322, 60 and 6 actions an episode; 100 episodes. A minibatch is always a
 fifth of the batch, and the discount of an action is 0.99 whatever T_a is, as the paper says nothing else.
 Command: manywake figure action-period
-Cost: 9 trainings, about 19 min (1322 actions make an update of 7 s instead of 1.5).
+Cost: 9 trainings, 13 to 18 min (an update with 1322 actions takes 25 s, with 60 or 6 8 s).
 Expected: at 10 % C_D falls as in `synced`; at 0.45 % and 100 % it stays near the uncontrolled 3.21, or above it, as
 noise held for a whole period adds drag.
 """

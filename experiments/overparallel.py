@@ -8,8 +8,8 @@ of 0.5 %, an update of 0.3 % of the T_L episodes it is made of (the paper's shar
 environment, drawn in seconds of an episode measured in one lane (`synced`). No harm: the mean final C_D of the seeds is
 not above that of synced 20 by more than twice the standard error of the difference; Welch's p is given beside it.
 Command: manywake figure overparallel
-Cost: 6 trainings beside those of `synced`, 14 min.
-Expected: plateaus of 60 episodes, the first of 120; speed-up of 400 episodes 56 (they are 6.7 rounds of 60). Episodes
+Cost: 6 trainings beside those of `synced`, 12 to 18 min.
+Expected: plateaus of 60 episodes, the first of 120; speed-up of 300 episodes 58 (they are 5 rounds of 60). Episodes
 of 60 are 3, 4, 5 updates old, not 0, 1, 2 as in the paper: here an episode keeps the policy it began with, and begins
 before the updates of its round are made; the paper's runner asks the newest policy for every action. The share of
 samples clipped before an update begins shows how far off-policy it is.

@@ -6,7 +6,7 @@ have the same curves to the bit: proved by training seed 0 anew with each N for 
 difference of one bit is an error. Their times are derived (`schedule.synced`) from the duration of an episode that has
 one core and one lane for itself, measured with N = 1; N = 1 and 2 are compared with the wall clock.
 Command: manywake figure synced
-Cost: three trainings, 7 min; the other N, 9 min (of these N = 1, alone on a core without lanes, 4).
+Cost: three trainings, 7 min; the other N, 6 min (of these N = 1, alone on a core without lanes, 3).
 Expected: identical True everywhere; speed-up near N at the learner's 0.3 % that the paper had, and less with ours,
 whose episodes are so short that the learner counts: Amdahl's law, `shares`.
 """
