@@ -32,7 +32,7 @@ from manywake.learn import runs
 
 PAPER = {"environment": 0.997, "learner": 0.003}
 RELEASED_EPISODE = 204.0
-"""Seconds of an episode of the released code on such a core: 4000 steps of 51 ms (docs/results.md)."""
+"""Seconds of an episode of the released code on such a core: 4000 steps of 51 ms (docs/performance.md)."""
 QUADRATURE = 7
 
 
