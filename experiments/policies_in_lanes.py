@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from manywake.env.task import ControlledFlow
+from manywake.learn import evaluate
 from manywake.learn import policy as policies
 from manywake.learn.evaluate import Trajectory
 from manywake.learn.policy import Policy
@@ -18,14 +19,9 @@ def play(
 ) -> Trajectory:
     """Play a number of actions from the start state; None is no control. look: called after every action."""
     flows = ControlledFlow(simulation.operators, simulation.baseline, simulation.task, len(driving))
-    coefficients, jets = [], []
-    for _ in range(actions):
-        seen = flows.observe()
-        action = [0.0 if p is None else policies.act(p, seen[k : k + 1])[0, 0] for k, p in enumerate(driving)]
-        outcome = flows.act(np.array(action))
-        coefficients.append(outcome.coefficients)
-        jets.append(outcome.jets)
-        look(flows)
-    record = np.concatenate(coefficients)
-    ends = [flows.flow.state(column) for column in range(len(driving))]
-    return Trajectory(record[:, 0], record[:, 1], np.concatenate(jets), ends)
+
+    def act(seen: np.ndarray) -> np.ndarray:
+        each = enumerate(driving)
+        return np.array([0.0 if p is None else policies.act(p, seen[k : k + 1])[0, 0] for k, p in each])
+
+    return evaluate.drive(flows, act, actions, look)

@@ -87,8 +87,7 @@ def _compared(whole: Run, part: Run, environments: int) -> dict[str, Any]:
 
 
 def _untimed(run: Run, updates: int) -> list[tuple[str, ...]]:
-    rows = [row for row in runs.rows(run.folder / "episodes.csv") if int(row["update"]) < updates]
-    return [tuple(value for name, value in row.items() if not name.endswith("_s")) for row in rows]
+    return runs.untimed([row for row in runs.rows(run.folder / "episodes.csv") if int(row["update"]) < updates])
 
 
 def policy_digest(run: Run, version: int) -> str:

@@ -32,10 +32,7 @@ def settings(collection=Collection(), seed=5) -> Settings:  # noqa: B008
 
 def played(folder) -> list[tuple]:
     """The rows of episodes.csv without their times."""
-    return [
-        tuple(value for name, value in row.items() if not name.endswith("_s"))
-        for row in runs.rows(folder / "episodes.csv")
-    ]
+    return runs.untimed(runs.rows(folder / "episodes.csv"))
 
 
 def final(folder) -> tuple:

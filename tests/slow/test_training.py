@@ -50,10 +50,7 @@ def three_updates(tmp_path_factory):
 
 def columns(folder) -> list[tuple]:
     """The rows of episodes.csv without their times."""
-    return [
-        tuple(value for name, value in row.items() if not name.endswith("_s"))
-        for row in runs.rows(folder / "episodes.csv")
-    ]
+    return runs.untimed(runs.rows(folder / "episodes.csv"))
 
 
 def test_three_updates_are_the_same_for_every_number_of_environments_and_engine(three_updates):

@@ -58,18 +58,22 @@ def _quadrature() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 CORNER, NODE, WEIGHT = _quadrature()
 
-# One row of NODE, CORNER, WEIGHT for each orbit of the rule: the centroid, and the first point of each three that
-# differ by a turn of the triangle. other: P2 function of the two corners that the point does not belong to; own: what
-# that of its own corner has beyond it. next: of the edges at that corner; far: what that of the opposite has beyond it.
 _C_CORNER, _C_EDGE, _C_WEIGHT = (float(x) for x in (NODE[0, 0], NODE[0, 3], WEIGHT[0]))
-_A_OTHER, _A_OWN, _A_NEXT, _A_FAR = (
-    float(x) for x in (NODE[1, 1], NODE[1, 0] - NODE[1, 1], NODE[1, 3], NODE[1, 4] - NODE[1, 3])
-)
-_A_SLOPE, _A_TURN, _A_WEIGHT = (float(x) for x in (CORNER[1, 1], CORNER[1, 0] - CORNER[1, 1], WEIGHT[1]))
-_B_OTHER, _B_OWN, _B_NEXT, _B_FAR = (
-    float(x) for x in (NODE[4, 1], NODE[4, 0] - NODE[4, 1], NODE[4, 3], NODE[4, 4] - NODE[4, 3])
-)
-_B_SLOPE, _B_TURN, _B_WEIGHT = (float(x) for x in (CORNER[4, 1], CORNER[4, 0] - CORNER[4, 1], WEIGHT[4]))
+
+
+def _orbit_rule(q: int) -> tuple[float, ...]:
+    """Return what `_orbit` needs of three points that differ by a turn of the triangle, the first of which is q.
+
+    P2 function of the two corners that the point does not belong to; what that of its own corner has beyond it; that of
+    the edges at that corner; what that of the opposite edge has beyond it. P1 function of the other corners; what
+    that of its own has beyond it. Weight.
+    """
+    other, near, slope = NODE[q, 1], NODE[q, 3], CORNER[q, 1]
+    values = other, NODE[q, 0] - other, near, NODE[q, 4] - near, slope, CORNER[q, 0] - slope, WEIGHT[q]
+    return tuple(float(x) for x in values)
+
+
+_A, _B = _orbit_rule(1), _orbit_rule(4)
 
 
 @kernel
@@ -79,6 +83,29 @@ def _along(inverse, t, q, weight, value, slope_xi, slope_eta):
     xi = fma(-weight * inverse[t, q, 1], v, mul(-weight * inverse[t, q, 0], u))
     eta = fma(-weight * inverse[t, q, 3], v, mul(-weight * inverse[t, q, 2], u))
     return fma(join(eta, eta), slope_eta, mul(join(xi, xi), slope_xi))
+
+
+@kernel
+def _orbit(inverse, t, q0, q1, q2, rule, nodal, xi, eta):
+    """What `_along` is at the three points of an orbit; nodal, xi, eta: see `convection`, sums last."""
+    other, own, near, far, slope, turn, weight = rule
+    a, b, c, ab, bc, ca, corners, edges = nodal
+    base = fma(near, edges, mul(other, corners))
+    base_xi, base_eta = mul(slope, xi[3]), mul(slope, eta[3])
+    return (
+        _along(
+            inverse, t, q0, weight, fma(far, bc, fma(own, a, base)),
+            fma(turn, xi[0], base_xi), fma(turn, eta[0], base_eta),
+        ),
+        _along(
+            inverse, t, q1, weight, fma(far, ca, fma(own, b, base)),
+            fma(turn, xi[1], base_xi), fma(turn, eta[1], base_eta),
+        ),
+        _along(
+            inverse, t, q2, weight, fma(far, ab, fma(own, c, base)),
+            fma(turn, xi[2], base_xi), fma(turn, eta[2], base_eta),
+        ),
+    )  # fmt: skip
 
 
 @kernel
@@ -104,54 +131,32 @@ def convection(nodes, inverse, e, out):
         eta_a = fma(4.0, ca, fma(-3.0, a, mul(-1.0, c)))
         eta_b = fma(4.0, bc, fma(-4.0, ab, sub(a, c)))
         eta_c = fma(-4.0, ca, fma(3.0, c, a))
-        xi, eta = add(add(xi_a, xi_b), xi_c), add(add(eta_a, eta_b), eta_c)
+        xi = xi_a, xi_b, xi_c, add(add(xi_a, xi_b), xi_c)
+        eta = eta_a, eta_b, eta_c, add(add(eta_a, eta_b), eta_c)
+        nodal = a, b, c, ab, bc, ca, corners, edges
 
         value = fma(_C_EDGE, edges, mul(_C_CORNER, corners))
-        f = _along(inverse, t, 0, _C_WEIGHT, value, mul(1.0 / 3.0, xi), mul(1.0 / 3.0, eta))
+        f = _along(inverse, t, 0, _C_WEIGHT, value, mul(1.0 / 3.0, xi[3]), mul(1.0 / 3.0, eta[3]))
         at_corners, at_edges = mul(_C_CORNER, f), mul(_C_EDGE, f)
 
-        base = fma(_A_NEXT, edges, mul(_A_OTHER, corners))
-        base_xi, base_eta = mul(_A_SLOPE, xi), mul(_A_SLOPE, eta)
-        fa = _along(
-            inverse, t, curved * 1, _A_WEIGHT, fma(_A_FAR, bc, fma(_A_OWN, a, base)),
-            fma(_A_TURN, xi_a, base_xi), fma(_A_TURN, eta_a, base_eta),
-        )  # fmt: skip
-        fb = _along(
-            inverse, t, curved * 2, _A_WEIGHT, fma(_A_FAR, ca, fma(_A_OWN, b, base)),
-            fma(_A_TURN, xi_b, base_xi), fma(_A_TURN, eta_b, base_eta),
-        )  # fmt: skip
-        fc = _along(
-            inverse, t, curved * 3, _A_WEIGHT, fma(_A_FAR, ab, fma(_A_OWN, c, base)),
-            fma(_A_TURN, xi_c, base_xi), fma(_A_TURN, eta_c, base_eta),
-        )  # fmt: skip
+        fa, fb, fc = _orbit(inverse, t, curved * 1, curved * 2, curved * 3, _A, nodal, xi, eta)
         f = add(add(fa, fb), fc)
-        at_corners, at_edges = fma(_A_OTHER, f, at_corners), fma(_A_NEXT, f, at_edges)
-        ya, yb, yc = mul(_A_OWN, fa), mul(_A_OWN, fb), mul(_A_OWN, fc)
-        ybc, yca, yab = mul(_A_FAR, fa), mul(_A_FAR, fb), mul(_A_FAR, fc)
+        other, own, near, far = _A[0], _A[1], _A[2], _A[3]
+        at_corners, at_edges = fma(other, f, at_corners), fma(near, f, at_edges)
+        ya, yb, yc = mul(own, fa), mul(own, fb), mul(own, fc)
+        ybc, yca, yab = mul(far, fa), mul(far, fb), mul(far, fc)
 
-        base = fma(_B_NEXT, edges, mul(_B_OTHER, corners))
-        base_xi, base_eta = mul(_B_SLOPE, xi), mul(_B_SLOPE, eta)
-        fa = _along(
-            inverse, t, curved * 4, _B_WEIGHT, fma(_B_FAR, bc, fma(_B_OWN, a, base)),
-            fma(_B_TURN, xi_a, base_xi), fma(_B_TURN, eta_a, base_eta),
-        )  # fmt: skip
-        fb = _along(
-            inverse, t, curved * 5, _B_WEIGHT, fma(_B_FAR, ca, fma(_B_OWN, b, base)),
-            fma(_B_TURN, xi_b, base_xi), fma(_B_TURN, eta_b, base_eta),
-        )  # fmt: skip
-        fc = _along(
-            inverse, t, curved * 6, _B_WEIGHT, fma(_B_FAR, ab, fma(_B_OWN, c, base)),
-            fma(_B_TURN, xi_c, base_xi), fma(_B_TURN, eta_c, base_eta),
-        )  # fmt: skip
+        fa, fb, fc = _orbit(inverse, t, curved * 4, curved * 5, curved * 6, _B, nodal, xi, eta)
         f = add(add(fa, fb), fc)
-        at_corners, at_edges = fma(_B_OTHER, f, at_corners), fma(_B_NEXT, f, at_edges)
+        other, own, near, far = _B[0], _B[1], _B[2], _B[3]
+        at_corners, at_edges = fma(other, f, at_corners), fma(near, f, at_edges)
 
-        store(out, i0, 0, add(load(out, i0, 0), fma(_B_OWN, fa, add(ya, at_corners))))
-        store(out, i1, 0, add(load(out, i1, 0), fma(_B_OWN, fb, add(yb, at_corners))))
-        store(out, i2, 0, add(load(out, i2, 0), fma(_B_OWN, fc, add(yc, at_corners))))
-        store(out, i3, 0, add(load(out, i3, 0), fma(_B_FAR, fc, add(yab, at_edges))))
-        store(out, i4, 0, add(load(out, i4, 0), fma(_B_FAR, fa, add(ybc, at_edges))))
-        store(out, i5, 0, add(load(out, i5, 0), fma(_B_FAR, fb, add(yca, at_edges))))
+        store(out, i0, 0, add(load(out, i0, 0), fma(own, fa, add(ya, at_corners))))
+        store(out, i1, 0, add(load(out, i1, 0), fma(own, fb, add(yb, at_corners))))
+        store(out, i2, 0, add(load(out, i2, 0), fma(own, fc, add(yc, at_corners))))
+        store(out, i3, 0, add(load(out, i3, 0), fma(far, fc, add(yab, at_edges))))
+        store(out, i4, 0, add(load(out, i4, 0), fma(far, fa, add(ybc, at_edges))))
+        store(out, i5, 0, add(load(out, i5, 0), fma(far, fb, add(yca, at_edges))))
 
 
 @kernel
@@ -296,10 +301,15 @@ def divergence(start, column, value, u, out):
 def extrapolate(ahead, u, u_old, e, d):
     """Set e = u + ahead (u - u_old) and d = u - u_old, rounded to the precision of e and d (eq. 5, 6). All pairs."""
     for i in range(len(u)):
-        now = load(u, i, 0)
-        step = sub(now, load(u_old, i, 0))
-        store(d, i, 0, rounded(step, d))
-        store(e, i, 0, rounded(fma(ahead, step, now), e))
+        extrapolate_row(ahead, load(u, i, 0), load(u_old, i, 0), e, d, i)
+
+
+@kernel
+def extrapolate_row(ahead, now, old, e, d, i):
+    """What `extrapolate` does at one node, from its velocity now and a step before."""
+    step = sub(now, old)
+    store(d, i, 0, rounded(step, d))
+    store(e, i, 0, rounded(fma(ahead, step, now), e))
 
 
 @kernel

@@ -5,7 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from manywake.flow import simd
-from manywake.flow.kernels import convection, divergence, extrapolate, kernel, linear_terms, solve, subtract_rows
+from manywake.flow.kernels import (
+    convection,
+    divergence,
+    extrapolate,
+    extrapolate_row,
+    kernel,
+    linear_terms,
+    solve,
+    subtract_rows,
+)
 from manywake.flow.operators import Operators
 from manywake.flow.simd import add, double, fma, high, join, load, low, mul, rounded, splat, store, sub
 
@@ -86,9 +95,7 @@ def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, p_star, jets, force):
             old = load(u_old, i, 0)
             new = add(_ahead(ahead, u_old, u, i), double(load(y, i, 0)))
             store(u, i, 0, new)
-            step = sub(new, old)
-            store(d, i, 0, rounded(step, d))
-            store(e, i, 0, rounded(fma(ahead, step, new), e))
+            extrapolate_row(ahead, new, old, e, d, i)
 
         # pressure at t + dt (eq. 10, 11), and its part in the force
         phi, phi_old = phi_old, phi

@@ -1,5 +1,6 @@
 """Controlled against uncontrolled: a deterministic policy, for one episode, for the long run, from every phase."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -82,13 +83,24 @@ def play(simulation: JetFlows, policy: Policy, starts: list[Start], actions: int
     flows = ControlledFlow(simulation.operators, simulation.baseline, simulation.task, len(starts))
     for column, start in enumerate(starts):
         flows.reset([column], start)
+    return drive(flows, lambda seen: policies.act(policy, seen)[:, 0], actions)
+
+
+def drive(
+    flows: ControlledFlow,
+    act: Callable[[np.ndarray], np.ndarray],
+    actions: int,
+    look: Callable[[ControlledFlow], None] = lambda flows: None,
+) -> Trajectory:
+    """Advance flows by a number of actions; act: observations (B, values) -> actions (B,). look: called after each."""
     coefficients, jets = [], []
     for _ in range(actions):
-        outcome = flows.act(policies.act(policy, flows.observe())[:, 0])
+        outcome = flows.act(act(flows.observe()))
         coefficients.append(outcome.coefficients)
         jets.append(outcome.jets)
+        look(flows)
     record = np.concatenate(coefficients)
-    ends = [flows.flow.state(column) for column in range(len(starts))]
+    ends = [flows.flow.state(column) for column in range(flows.flow.flows)]
     return Trajectory(record[:, 0], record[:, 1], np.concatenate(jets), ends)
 
 

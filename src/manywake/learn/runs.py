@@ -218,6 +218,11 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+def untimed(table: list[dict[str, str]]) -> list[tuple[str, ...]]:
+    """Return the rows of a table without their times: what must be the same to the bit however it was come by."""
+    return [tuple(value for name, value in row.items() if not name.endswith("_s")) for row in table]
+
+
 def cut(path: Path, version: int | None) -> None:
     """Drop the rows of a table that are of updates from `version` on, to be made again, and what was cut short."""
     if not path.exists():
