@@ -11,28 +11,22 @@ noise held for a whole period adds drag.
 """
 
 import learning_curves
+import trainings
 from experiment import Setup
-from learning_curves import CASE
+from trainings import CASE
 
-EPISODES = 100
+EPISODES = 300
 ACTIONS = {3: 1322, 66: 60, 661: 6}
 """Steps of an action -> actions of an episode: 3966, 3960 and 3966 steps."""
 SHARES = {3: "0.45 %", 66: "10 %", 661: "100 %"}
 
 
 def run(setup: Setup) -> None:
-    sets = {}
-    for steps, actions in ACTIONS.items():
-        changes = {"action_interval": round(steps * CASE.time_step, 10), "actions_per_episode": actions}
-        sets[f"{steps} steps"] = [
-            learning_curves.trained(
-                setup,
-                "action-period",
-                f"{steps}-steps",
-                learning_curves.settings(setup, seed, EPISODES, **changes),
-            )
-            for seed in learning_curves.seeds(setup)
-        ]
+    changes = {
+        f"{steps} steps": {"action_interval": round(steps * CASE.time_step, 10), "actions_per_episode": actions}
+        for steps, actions in ACTIONS.items()
+    }
+    sets = trainings.seeded(setup, "action-period", EPISODES, changes)
     learning_curves.write_tables(setup, "action-period", sets)
 
 

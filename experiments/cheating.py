@@ -18,14 +18,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 import policies_in_lanes
 import synced
+import trainings
 import vertex_maps
 from experiment import Setup, read, rounded, where, write
-from learning_curves import CASE
+from trainings import CASE
 
 from manywake.learn.rollout import JetFlows
 from manywake.learn.runs import Run
 
-EPISODES = 100
+EPISODES = 300
 STRONG = replace(CASE, name="cylinder-jets-goda-half-step", time_step=2.5e-4)
 STRONG_RATE = 0.02
 PERIODS = 10
@@ -37,12 +38,10 @@ LABELS = {
 
 
 def run(setup: Setup) -> None:
-    penalised = learning_curves.trained(setup, "synced", "20", learning_curves.settings(setup, 0, synced.EPISODES))
+    penalised = synced.trained(setup)[0]
     strong = CASE if setup.miniature else STRONG
-    chosen = learning_curves.settings(
-        setup, 0, EPISODES, chosen=strong, reward="drag-offset", max_flow_rate=STRONG_RATE
-    )
-    biased = learning_curves.trained(setup, "cheating", "no-penalty", chosen)
+    chosen = trainings.settings(setup, 0, EPISODES, chosen=strong, reward="drag-offset", max_flow_rate=STRONG_RATE)
+    (biased,) = trainings.trained(setup, "cheating", [("no penalty", chosen)])
     maps, numbers = {}, []
     for name, run, controlled in (
         ("none", penalised, False),
@@ -53,13 +52,13 @@ def run(setup: Setup) -> None:
         maps[name.replace(" ", "_")], row = _averaged(run, controlled, 0.1 if setup.miniature else PERIODS)
         numbers.append(rounded({"series": name, **row}, 5))
         setup.progress(f"cheating: {LABELS[name]}", 1.0)
-    write(setup.csv("cheating"), vertex_maps.rows(learning_curves.simulation(penalised).baseline.mesh, **maps))
+    write(setup.csv("cheating"), vertex_maps.rows(trainings.simulation(penalised).baseline.mesh, **maps))
     write(setup.csv("cheating-numbers"), numbers)
 
 
 def _averaged(run: Run, controlled: bool, periods: float) -> tuple[np.ndarray, dict[str, float]]:
     """Return the mean speed at the vertices after one episode's transient, and the means of the forces and the jet."""
-    simulation: JetFlows = learning_curves.simulation(run)
+    simulation: JetFlows = trainings.simulation(run)
     task, period = simulation.task, simulation.baseline.shedding.period
     settle = simulation.horizon
     actions = round(periods * period / task.action_interval)

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import vertex_maps
 from experiment import Setup, read, write
-from learning_curves import CASE
+from trainings import CASE
 
 from manywake.flow import baseline
 

@@ -17,6 +17,7 @@ import learning_curves
 import matplotlib.pyplot as plt
 import numpy as np
 import policies_in_lanes
+import trainings
 from experiment import Setup, Table, read, rounded, spread, where, write
 from learning_curves import COLOURS
 
@@ -38,16 +39,9 @@ HIGHEST = 1.0
 
 
 def run(setup: Setup) -> None:
-    group = [
-        learning_curves.trained(
-            setup,
-            "controlled-wake",
-            "default",
-            learning_curves.settings(setup, seed, EPISODES, protocol="default", chosen=CASE),
-        )
-        for seed in learning_curves.seeds(setup)
-    ]
-    coarse = learning_curves.simulation(group[0])
+    how = {"protocol": "default", "chosen": CASE}
+    group = trainings.seeded(setup, "controlled-wake", EPISODES, {"default": how})["default"]
+    coarse = trainings.simulation(group[0])
     flows = {"uncontrolled": None} | {f"seed {run.settings.seed}": run.policy() for run in group}
     numbers, series, spectra = [], [], []
     for grid, simulation in (("training", coarse), ("fine", coarse if setup.miniature else finer(coarse))):
@@ -127,7 +121,7 @@ def _spectrum(simulation: JetFlows, result: Trajectory, column: int, name: str) 
 def plot(setup: Setup) -> None:
     series, spectra = read(setup.csv("controlled-wake")), read(setup.csv("controlled-wake-spectra"))
     figure, axes = plt.subplots(3, 2, figsize=(13, 8.5))
-    names = ("uncontrolled", *(f"seed {seed}" for seed in learning_curves.seeds(setup)))
+    names = ("uncontrolled", *(f"seed {seed}" for seed in trainings.seeds(setup)))
     colours = dict(zip(names, (plots.REFERENCE, *COLOURS), strict=False))
     panels = (("c_d", "$C_D$"), ("c_l", "$C_L$"), ("jet", "$Q_1$ [$10^{-3}$]"), ("area", "recirculation area [100 D²]"))
     for axis, (name, label) in zip(axes.T.ravel(), panels, strict=False):
@@ -178,7 +172,7 @@ def reduction(numbers: Table, name: str, grid: str) -> float:
 def summary(setup: Setup) -> dict:
     numbers = read(setup.csv("controlled-wake-numbers"))
     free = _row(numbers, "uncontrolled", "training")
-    names = [f"seed {seed}" for seed in learning_curves.seeds(setup)]
+    names = [f"seed {seed}" for seed in trainings.seeds(setup)]
     rows = [_row(numbers, name, "training") for name in names]
     losses = [100 * (reduction(numbers, name, "training") - reduction(numbers, name, "fine")) for name in names]
     shed = free["c_d"] - free["c_d_steady"]

@@ -1,99 +1,24 @@
-"""Trainings by the set, each run once and kept; their curves as tables, drawn with runs thin and means thick."""
+"""Learning curves of trainings as tables, and drawn with runs thin and means thick."""
 
-from contextlib import closing
-from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 import policies_in_lanes
+import trainings
 from experiment import Setup, Table, names, read, rounded, spread, where, write
 
 from manywake import plots
-from manywake.flow import baseline, case
-from manywake.flow.case import Case
-from manywake.learn import collect, runs, train
-from manywake.learn.engine import Processes, Threads
-from manywake.learn.rollout import JetFlows
+from manywake.flow import baseline
+from manywake.learn import runs
 from manywake.learn.runs import Run
-from manywake.learn.settings import PROTOCOLS, Collection, Settings
 
-CASE = case.by_name("cylinder-jets-goda")
-"""The paper's scheme and time step."""
 WINDOW = 10
 """Episodes of the running mean that is drawn."""
 LAST = 60
 """Episodes, the last ones, whose mean is a run's final level."""
 COLOURS = ("#2f6c9f", "#c44e52", "#55a868", "#dd8452", "#8172b3")
-
-
-def seeds(setup: Setup) -> range:
-    """Return the seeds of a series of trainings: three, as in the paper."""
-    return range(2 if setup.miniature else 3)
-
-
-def settings(
-    setup: Setup,
-    seed: int,
-    episodes: int,
-    protocol: str | None = None,
-    chosen: Case = CASE,
-    collection: Collection = Collection(),  # noqa: B008
-    **changes: Any,
-) -> Settings:
-    """Return the settings of one training by protocol (that of the set-up), with changes of its task.
-
-    The protocol's 25 minibatches of an update are kept: a fifth of the batch each, whatever an episode's length.
-    """
-    protocol = protocol or setup.protocol
-    task, learning = PROTOCOLS[protocol]
-    task, learning = replace(task, **changes), replace(learning, episodes=episodes)
-    if setup.miniature:
-        brief = min(task.action_interval, 10 * chosen.time_step)
-        task = replace(task, actions_per_episode=2, action_interval=brief)
-        small = {"update_period": 4, "episodes": 4 * min(episodes // 20, 3), "n_epochs": 1, "hidden": (8, 8)}
-        learning = replace(learning, learner_threads=1, **small)
-    if protocol != "default":
-        batch = max(learning.update_period * task.actions_per_episode // 5, 2)
-        learning = replace(learning, batch_size=batch)
-    return Settings(chosen, task, learning, collection, seed)
-
-
-def trained(setup: Setup, figure: str, name: str, chosen: Settings) -> Run:
-    """Return a training's run: the one that is kept, the one that was stopped brought to its end, or a new one."""
-    folder = setup.runs / f"{figure}{setup.tail}" / f"{name}-s{chosen.seed}"
-    run, what = Run(folder), f"{figure} {name}, seed {chosen.seed}"
-    begun = (folder / "settings.json").exists()
-    if begun and run.settings != chosen:
-        raise ValueError(f"figure: {folder} was made with other settings; delete it, or begin anew with --fresh")
-    if (folder / "training.json").exists():
-        setup.progress(what, 1.0)
-        return run
-    baseline.get(chosen.case, setup.progress)
-    how, learning = chosen.collection, chosen.learning
-    layout = run.layout if begun else collect.layout(how.envs, how.workers, how.lanes, learning.update_period)
-    done = runs.newest(run)[1].version * learning.update_period if begun else 0
-
-    def show(episodes, shares, failures) -> None:
-        nonlocal done
-        done += len(episodes)
-        setup.progress(what, min(done / learning.episodes, 1.0))
-
-    with closing(Threads(1) if setup.miniature else Processes(layout.workers)) as engine:
-        if begun:
-            result = train.resume(folder, engine, layout, show)
-        else:
-            result = train.train(folder, chosen, engine, layout, show)
-    runs.write_json(folder / "training.json", asdict(result))
-    return run
-
-
-def simulation(run: Run) -> JetFlows:
-    """Return what a run played."""
-    played = run.simulation()
-    assert isinstance(played, JetFlows)
-    return played
 
 
 def write_tables(setup: Setup, name: str, sets: dict[str, list[Run]]) -> None:
@@ -144,7 +69,7 @@ def _updates(series: str, run: Run, updates: int) -> list[dict[str, Any]]:
 
 
 def _final(series: str, group: list[Run], updates: int) -> list[dict[str, Any]]:
-    played = simulation(group[0])
+    played = trainings.simulation(group[0])
     result = policies_in_lanes.play(played, [run.version(updates) for run in group], played.horizon)
     half = len(result.c_d) // 2
     return [
@@ -183,7 +108,7 @@ def draw(axis, table: Table, x: str, y: str, colour: str, label: str) -> None:
 
 def references(axis, label: bool = True) -> None:
     """Draw the uncontrolled flow's C_D and that of the steady base flow."""
-    base = baseline.get(CASE)
+    base = baseline.get(trainings.CASE)
     for value, style, name in ((base.shedding.cd_mean, ":", "uncontrolled"), (base.cd_steady, "--", "steady flow")):
         axis.axhline(value, color=plots.REFERENCE, lw=1, ls=style, label=name if label else None)
 
@@ -232,7 +157,7 @@ def levels(table: Table, column: str = "c_d") -> dict[str, list[float]]:
 def summary(setup: Setup, name: str) -> dict[str, Any]:
     """Return, by series, first and final level while exploring, and the last policies' own, as mean and deviation."""
     table, final = read(setup.csv(name)), read(setup.csv(f"{name}-final"))
-    uncontrolled = baseline.get(CASE).shedding.cd_mean
+    uncontrolled = baseline.get(trainings.CASE).shedding.cd_mean
     found: dict[str, Any] = {}
     for series in names(table):
         mine, last = where(table, series=series), where(final, series=series)

@@ -22,6 +22,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import scipy.stats
 import synced
+import trainings
 from experiment import Setup, Table, names, read, spread, where, write
 from learning_curves import COLOURS
 
@@ -38,20 +39,15 @@ def environments(setup: Setup) -> tuple[int, ...]:
 
 
 def run(setup: Setup) -> None:
-    sets = {"synced 20": synced.trained(setup)}
-    for n in environments(setup):
-        how = Collection(schedule="unsynced", clock="virtual", envs=n)
-        sets[f"unsynced {n}"] = [
-            learning_curves.trained(
-                setup, "overparallel", str(n), learning_curves.settings(setup, seed, EPISODES, collection=how)
-            )
-            for seed in learning_curves.seeds(setup)
-        ]
+    ways = {n: Collection(schedule="unsynced", clock="virtual", envs=n) for n in environments(setup)}
+    sets = {"synced 20": synced.trained(setup)} | trainings.seeded(
+        setup, "overparallel", EPISODES, {f"unsynced {n}": {"collection": how} for n, how in ways.items()}
+    )
     learning_curves.write_tables(setup, "overparallel", sets)
     table = read(setup.csv("overparallel"))
     write(setup.csv("overparallel"), _on_the_virtual_clock(setup, table))
     if not setup.csv("synced-times").exists():
-        synced.run(setup)
+        synced.measure(setup)
 
 
 def _on_the_virtual_clock(setup: Setup, table: Table) -> list[dict[str, Any]]:

@@ -24,7 +24,8 @@ import numpy as np
 import scipy.sparse as sp
 import synced
 from experiment import Setup, Table, read, rounded, where, write
-from learning_curves import CASE, COLOURS
+from learning_curves import COLOURS
+from trainings import CASE
 
 from manywake.flow import baseline
 from manywake.flow import space as spaces
@@ -37,15 +38,15 @@ QUADRATURE = 7
 
 
 def run(setup: Setup) -> None:
-    alone, many = synced.rerun(setup, 1), synced.trained(setup)[0]
-    write(setup.csv("shares"), [row for name, run in (("1", alone), ("20", many)) for row in _shares(name, run)])
+    timed = {name: synced.timed(setup, n) for name, n in (("1", 1), ("20", synced.most(setup)))}
+    write(setup.csv("shares"), [row for name, run in timed.items() for row in _shares(name, run)])
     write(setup.csv("shares-threads"), _threads(repeats=3 if setup.miniature else 400))
 
 
 def _shares(name: str, run: runs.Run) -> list[dict[str, Any]]:
     """Return seconds per episode of each part, of the updates after the first, which also loads compiled code."""
     period = run.settings.learning.update_period
-    updates = runs.rows(run.folder / "updates.csv")[1 : synced.RERUN_UPDATES]
+    updates = runs.rows(run.folder / "updates.csv")[1:]
     rows = runs.rows(run.folder / "episodes.csv")[period : (len(updates) + 1) * period]
     layout = run.layout
     cores = min(layout.workers, os.cpu_count() or 1)

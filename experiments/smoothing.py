@@ -12,9 +12,10 @@ Expected: all four within the seeds' spread; after an action alpha = 0.05 is at 
 
 import learning_curves
 import synced
+import trainings
 from experiment import Setup
 
-EPISODES = 100
+EPISODES = 300
 ALPHAS = (0.05, 0.1, 0.2)
 
 
@@ -23,18 +24,8 @@ def run(setup: Setup) -> None:
     laws["linear"] = {"control": "linear"}
     # the law of the protocol itself is synced's
     shared = "linear" if setup.protocol == "code" else "alpha 0.1"
-    sets = {shared: synced.trained(setup)}
-    for law, changes in laws.items():
-        if law != shared:
-            sets[law] = [
-                learning_curves.trained(
-                    setup,
-                    "smoothing",
-                    law.replace(" ", "-"),
-                    learning_curves.settings(setup, seed, EPISODES, **changes),
-                )
-                for seed in learning_curves.seeds(setup)
-            ]
+    others = {law: changes for law, changes in laws.items() if law != shared}
+    sets = {shared: synced.trained(setup)} | trainings.seeded(setup, "smoothing", EPISODES, others)
     learning_curves.write_tables(setup, "smoothing", {law: sets[law] for law in laws})
 
 

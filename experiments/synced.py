@@ -2,11 +2,12 @@
 
 Claim: with a divider of T_L = 20 environments, synced, the learning curves are identical, so the speed-up is N.
 Here: three seeds of 300 episodes with N = 20. An episode depends on its number, not on who plays it, so the other N
-have the same curves to the bit: proved by training seed 0 anew with each N for the first RERUN_UPDATES updates; a
-difference of one bit is an error. Their times are derived (`schedule.synced`) from the duration of an episode that has
-one core and one lane for itself, measured with N = 1; N = 1 and 2 are compared with the wall clock.
+have the same curves to the bit: proved by training seed 0 anew with each N, all 300 episodes; a difference of one bit
+is an error. Their times are derived (`schedule.synced`) from the duration of an episode that has one core and one lane
+for itself, measured with N = 1; N = 1 and 2 are compared with the wall clock. The times are of TIMED_UPDATES updates
+made with nothing beside them, in processes; the trainings of the curves run side by side, a core each.
 Command: manywake figure synced
-Cost: three trainings, 7 min; the other N, 6 min (of these N = 1, alone on a core without lanes, 3).
+Cost: 4 min for the times, 18 for the trainings (N = 1, in one lane, is 14 of one core).
 Expected: identical True everywhere; speed-up near N at the learner's 0.3 % that the paper had, and less with ours,
 whose episodes are so short that the learner counts: Amdahl's law, `shares`.
 """
@@ -17,6 +18,7 @@ from typing import Any
 import learning_curves
 import matplotlib.pyplot as plt
 import numpy as np
+import trainings
 from experiment import Setup, Table, names, read, rounded, where, write
 from learning_curves import COLOURS
 
@@ -26,8 +28,8 @@ from manywake.learn.runs import Run
 from manywake.learn.settings import PAPER_LEARNING, Collection
 
 EPISODES = 300
-RERUN_UPDATES = 3
-"""Updates of N = 1, 2, 5, 10 that are trained anew; 15 are the whole training (half an hour more)."""
+TIMED_UPDATES = 3
+"""Updates that are trained with nothing beside them, for their times."""
 OTHERS = (1, 2, 5, 10)
 PAPER_SHARE = 0.003
 """The learner's share of the paper's serial training."""
@@ -35,21 +37,21 @@ PAPER_SHARE = 0.003
 
 def trained(setup: Setup) -> list[Run]:
     """Return the runs with as many environments as an update has episodes, a seed each."""
-    return [
-        learning_curves.trained(setup, "synced", "20", learning_curves.settings(setup, seed, EPISODES))
-        for seed in learning_curves.seeds(setup)
-    ]
+    return trainings.seeded(setup, "synced", EPISODES, {"20": {}})["20"]
 
 
-def rerun(setup: Setup, environments: int) -> Run:
-    """Return the first updates of seed 0 with another number of environments; 1 and 2 have a core and one lane each."""
-    chosen = learning_curves.settings(
-        setup,
-        0,
-        RERUN_UPDATES * PAPER_LEARNING.update_period,
-        collection=Collection(envs=environments, lanes=1 if environments <= 2 else None),
-    )
-    return learning_curves.trained(setup, "synced", str(environments), chosen)
+def timed(setup: Setup, environments: int) -> Run:
+    """Return the first updates of seed 0, alone on the machine; 1 and 2 environments have a core and one lane each."""
+    how = Collection() if environments == most(setup) else Collection(envs=environments, lanes=1)
+    chosen = trainings.settings(setup, 0, TIMED_UPDATES * PAPER_LEARNING.update_period, collection=how)
+    return trainings.timed(setup, "synced", f"timed {environments}", chosen)
+
+
+def measure(setup: Setup) -> list[Run]:
+    """Write synced-times.csv, and return the runs it is of."""
+    alone = [timed(setup, n) for n in (1, 2, most(setup))]
+    write(setup.csv("synced-times"), [_times(run) for run in alone])
+    return alone
 
 
 def others(setup: Setup) -> tuple[int, ...]:
@@ -57,11 +59,14 @@ def others(setup: Setup) -> tuple[int, ...]:
 
 
 def run(setup: Setup) -> None:
-    group = trained(setup)
+    anew = [(str(n), trainings.settings(setup, 0, EPISODES, collection=Collection(envs=n))) for n in others(setup)]
+    alone = measure(setup)
+    # one list of all, so that no core is idle while the slowest, N = 1, is at it
+    main = [("20", trainings.settings(setup, seed, EPISODES)) for seed in trainings.seeds(setup)]
+    made = trainings.trained(setup, "synced", [*anew, *main])
+    again, group = made[: len(anew)], made[len(anew) :]
     learning_curves.write_tables(setup, "synced", {"N = 20": group})
-    again = {environments: rerun(setup, environments) for environments in others(setup)}
-    write(setup.csv("synced-times"), [_times(run) for run in [*again.values(), group[0]]])
-    proof = [_compared(group[0], run, environments) for environments, run in again.items()]
+    proof = [_compared(group[0], run) for run in [*again, *alone]]
     write(setup.csv("synced-proof"), proof)
     different = [row["environments"] for row in proof if not row["identical"]]
     if different:
@@ -70,13 +75,15 @@ def run(setup: Setup) -> None:
         )
 
 
-def _compared(whole: Run, part: Run, environments: int) -> dict[str, Any]:
+def _compared(whole: Run, part: Run) -> dict[str, Any]:
     """Compare all numbers of the episodes but the times, and the policy after the last update, to the bit."""
     updates = part.settings.learning.episodes // part.settings.learning.update_period
     a, b = (_untimed(run, updates) for run in (whole, part))
     digests = [policy_digest(run, updates) for run in (whole, part)]
     return {
-        "environments": environments,
+        "environments": part.layout.environments,
+        "workers": part.layout.workers,
+        "lanes": part.layout.lanes,
         "episodes": len(b),
         "numbers": sum(len(row) for row in b),
         "different": sum(x != y for x, y in zip(a, b, strict=True)),
@@ -105,7 +112,7 @@ def _times(run: Run) -> dict[str, Any]:
     its share of a block. schedule_s: only without lanes, where an environment's episodes are its own.
     """
     layout, period = run.layout, run.settings.learning.update_period
-    first, *updates = runs.rows(run.folder / "updates.csv")[:RERUN_UPDATES]
+    first, *updates = runs.rows(run.folder / "updates.csv")
     rows = runs.rows(run.folder / "episodes.csv")[period : (len(updates) + 1) * period]
     seconds = np.array([float(row["flow_s"]) + float(row["policy_s"]) for row in rows])
     learner = np.mean([float(row["learner_s"]) for row in updates])
@@ -142,11 +149,12 @@ def derived(setup: Setup, environments: int, seed: int, episodes: int, learner: 
 
 def speedup(setup: Setup, learner: float | None = None) -> dict[int, float]:
     """Return the serial training's time over that of each N."""
-    ends = {n: derived(setup, n, 0, EPISODES, learner).ready[-1] for n in (*others(setup), _most(setup))}
+    ends = {n: derived(setup, n, 0, EPISODES, learner).ready[-1] for n in (*others(setup), most(setup))}
     return {n: float(ends[1] / end) for n, end in ends.items()}
 
 
-def _most(setup: Setup) -> int:
+def most(setup: Setup) -> int:
+    """Return the most environments that are synced."""
     return 4 if setup.miniature else 20
 
 
@@ -162,7 +170,7 @@ def plot(setup: Setup) -> None:
             axis.legend(fontsize=9, title=_proved(proof), title_fontsize=8)
         learning_curves.finish(axis, "episodes", label)
         axis = figure.add_subplot(grid[row, 1])
-        for colour, n in zip(COLOURS, (*others(setup), _most(setup)), strict=False):
+        for colour, n in zip(COLOURS, (*others(setup), most(setup)), strict=False):
             learning_curves.draw(axis, _against_time(setup, table, n), "minutes", y, colour, f"N = {n}")
         learning_curves.finish(axis, "time [min], derived: a core and one lane for each of N", label)
         axis.set_xscale("log")
@@ -208,7 +216,7 @@ def measured(setup: Setup) -> dict[str, float]:
     """Return how the schedule compares with the wall clock, and what lanes bring beside it."""
     table = read(setup.csv("synced-times"))
     one, two = (where(table, environments=n) for n in (1, 2))
-    most = where(table, environments=_most(setup))
+    many = where(table, environments=most(setup))
     return {
         "wall_speedup_of_2": float(one["wall_s"][0] / two["wall_s"][0]),
         "derived_speedup_of_2": speedup(setup)[2],
@@ -218,7 +226,7 @@ def measured(setup: Setup) -> dict[str, float]:
         "episode_s_beside_another": float(two["episode_s"][0]),
         "episode_spread": float(one["spread"][0]),
         "update_s": float(one["update_s"][0]),
-        "collecting_with_lanes_over_one_environment": float(one["collect_s"][0] / most["collect_s"][0]),
+        "collecting_with_lanes_over_one_environment": float(one["collect_s"][0] / many["collect_s"][0]),
     }
 
 

@@ -12,7 +12,8 @@ import learning_curves
 import matplotlib.pyplot as plt
 import numpy as np
 from experiment import Setup, read, rounded, write
-from learning_curves import CASE, COLOURS
+from learning_curves import COLOURS
+from trainings import CASE
 
 from manywake.env.task import CONTROL_LAWS, PAPER
 from manywake.learn.rollout import explore

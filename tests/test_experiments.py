@@ -3,6 +3,7 @@
 import importlib
 import shutil
 import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -15,7 +16,8 @@ from manywake.env.task import Task
 from manywake.flow import baseline
 from manywake.flow.baseline import Baseline
 from manywake.flow.sensors import Shedding
-from manywake.learn import runs, train
+from manywake.learn import collect, runs, train
+from manywake.learn.engine import Threads
 from manywake.learn.rollout import JetFlows
 
 from .conftest import TINY, tiny_mesh
@@ -31,7 +33,7 @@ TABLES = {
         "synced-updates": UPDATES,
         "synced-final": {"c_d", "c_l"},
         "synced-times": {"environments", "episode_s", "spread", "update_s", "wall_s", "schedule_s"},
-        "synced-proof": {"environments", "episodes", "different", "policy", "identical"},
+        "synced-proof": {"environments", "workers", "lanes", "episodes", "different", "policy", "identical"},
     },
     "overparallel": {"overparallel": EPISODES | {"clock"}, "overparallel-updates": UPDATES},
     "action-period": {"action-period": EPISODES, "action-period-final": {"c_d"}},
@@ -81,21 +83,26 @@ def test_there_is_an_experiment_for_every_name():
 
 
 def test_a_training_that_is_done_is_kept_and_one_that_was_stopped_goes_on_to_the_same_rows(setup, monkeypatch):
-    curves = script("learning_curves")
-    chosen = curves.settings(setup, 7, 400)
-    whole = curves.trained(setup, "kept", "whole", chosen)
+    trainings, curves = script("trainings"), script("learning_curves")
+    chosen = trainings.settings(setup, 7, 400)
+    setup = replace(setup, miniature=False)  # side by side, in processes
+    (whole,) = trainings.trained(setup, "kept", [("whole", chosen)])
     before = (whole.folder / "episodes.csv").read_bytes()
 
     class Stop(Exception):
         pass
 
-    def stop(what, share):
-        if share > 0.5:
+    def stop(episodes, shares, failures):
+        if episodes[0].index >= 4:
             raise Stop
 
-    with pytest.raises(Stop):
-        curves.trained(replace(setup, progress=stop), "kept", "stopped", chosen)
-    stopped = curves.trained(setup, "kept", "stopped", chosen)
+    run = runs.Run(trainings._folder(setup, "kept", "stopped", chosen))
+    with closing(Threads(1)) as engine, pytest.raises(Stop):
+        train.train(run.folder, chosen, engine, collect.layout(4, 1, 4, 4), stop)
+    assert len(runs.rows(run.folder / "updates.csv")) == 1
+    other = trainings.settings(replace(setup, miniature=True), 8, 400)
+    stopped, beside = trainings.trained(setup, "kept", [("stopped", chosen), ("beside", other)])
+    assert beside.settings.seed == 8 and len(runs.rows(beside.folder / "episodes.csv")) == 12
     rows = [curves._episodes("", run, 3) for run in (whole, stopped)]
     without = [[{k: v for k, v in row.items() if k != "clock_s"} for row in table] for table in rows]
     assert without[0] == without[1]
@@ -103,11 +110,11 @@ def test_a_training_that_is_done_is_kept_and_one_that_was_stopped_goes_on_to_the
     def fail(*arguments):
         raise AssertionError("trained again")
 
-    monkeypatch.setattr(train, "train", fail)
-    curves.trained(setup, "kept", "whole", chosen)
+    monkeypatch.setattr(trainings, "_train_on", fail)
+    trainings.trained(setup, "kept", [("whole", chosen)])
     assert (whole.folder / "episodes.csv").read_bytes() == before
     with pytest.raises(ValueError, match="made with other settings; .* --fresh"):
-        curves.trained(setup, "kept", "whole", curves.settings(setup, 7, 400, alpha=0.2))
+        trainings.trained(setup, "kept", [("whole", replace(other, seed=7, task=Task()))])
 
 
 def test_a_rerun_that_differs_in_one_digit_fails_loudly(setup, tmp_path):
@@ -132,11 +139,11 @@ def test_harm_is_a_difference_beyond_the_seeds_spread(setup):
 
 
 def test_minibatches_are_a_fifth_of_the_batch_whatever_the_episode_is(setup):
-    curves = script("learning_curves")
+    trainings = script("trainings")
     full = replace(setup, miniature=False)
     for actions, batch in ((80, 320), (1322, 5288), (60, 240), (6, 24)):
-        assert curves.settings(full, 0, 300, actions_per_episode=actions).learning.batch_size == batch
-    assert curves.settings(replace(full, protocol="code"), 0, 300).task.reward == "code"
+        assert trainings.settings(full, 0, 300, actions_per_episode=actions).learning.batch_size == batch
+    assert trainings.settings(replace(full, protocol="code"), 0, 300).task.reward == "code"
 
 
 def test_the_finer_mesh_has_four_times_the_triangles_and_the_same_flow(setup, tiny):

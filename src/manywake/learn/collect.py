@@ -39,6 +39,11 @@ class Layout:
         return f"{self.environments} environments: {self.workers} workers, blocks of up to {self.lanes} lanes"
 
 
+def usable_cores() -> int:
+    """Return the number of cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def layout(
     environments: int | None, workers: int | None, lanes: int | None, period: int, cores: int | None = None
 ) -> Layout:
@@ -50,7 +55,7 @@ def layout(
     spread over the cores; and one worker more than cores where there are blocks for it, so that blocks of unequal
     width, 8, 8 and 4 of twenty say, share the cores evenly.
     """
-    cores = cores or len(os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1))
+    cores = cores or usable_cores()
     for name, value in (("envs", environments), ("workers", workers), ("lanes", lanes)):
         if value is not None and value < 1:
             raise ValueError(f"{name}: got {value}, wanted at least 1")

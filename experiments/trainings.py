@@ -1,0 +1,165 @@
+"""Trainings by the set: by protocol, each made once and kept, side by side or timed alone."""
+
+import shutil
+from collections import deque
+from collections.abc import Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import closing
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from experiment import Setup
+
+from manywake.flow import baseline, case
+from manywake.flow.case import Case
+from manywake.learn import collect, runs, train
+from manywake.learn.engine import Engine, Processes, Threads
+from manywake.learn.rollout import JetFlows
+from manywake.learn.runs import Run
+from manywake.learn.settings import PROTOCOLS, Collection, Settings
+
+CASE = case.by_name("cylinder-jets-goda")
+"""The paper's scheme and time step."""
+
+
+def seeds(setup: Setup) -> range:
+    """Return the seeds of a series of trainings: three, as in the paper."""
+    return range(2 if setup.miniature else 3)
+
+
+def settings(
+    setup: Setup,
+    seed: int,
+    episodes: int,
+    protocol: str | None = None,
+    chosen: Case = CASE,
+    collection: Collection = Collection(),  # noqa: B008
+    **changes: Any,
+) -> Settings:
+    """Return the settings of one training by protocol (that of the set-up), with changes of its task.
+
+    The protocol's 25 minibatches of an update are kept: a fifth of the batch each, whatever an episode's length.
+    """
+    protocol = protocol or setup.protocol
+    task, learning = PROTOCOLS[protocol]
+    task, learning = replace(task, **changes), replace(learning, episodes=episodes)
+    if setup.miniature:
+        brief = min(task.action_interval, 10 * chosen.time_step)
+        task = replace(task, actions_per_episode=2, action_interval=brief)
+        small = {"update_period": 4, "episodes": 4 * min(episodes // 20, 3), "n_epochs": 1, "hidden": (8, 8)}
+        learning = replace(learning, learner_threads=1, **small)
+    if protocol != "default":
+        batch = max(learning.update_period * task.actions_per_episode // 5, 2)
+        learning = replace(learning, batch_size=batch)
+    return Settings(chosen, task, learning, collection, seed)
+
+
+def seeded(setup: Setup, figure: str, episodes: int, sets: dict[str, dict[str, Any]]) -> dict[str, list[Run]]:
+    """Return the runs of series of trainings, one for each seed; a series is what its settings change."""
+    wanted = [
+        (series, settings(setup, seed, episodes, **changes))
+        for series, changes in sets.items()
+        for seed in seeds(setup)
+    ]
+    made = iter(trained(setup, figure, wanted))
+    return {series: [next(made) for _ in seeds(setup)] for series in sets}
+
+
+def trained(setup: Setup, figure: str, wanted: Sequence[tuple[str, Settings]]) -> list[Run]:
+    """Return the runs of trainings, by name and settings, in the order asked for: kept, brought to their end, or new.
+
+    What is not there yet is trained side by side, a core each (two trainings of one core take a quarter less time than
+    one after the other on two, whose learner has but one thread); so name the longest first.
+    """
+    group = [Run(_folder(setup, figure, name, chosen)) for name, chosen in wanted]
+    waiting: deque[tuple[Run, Settings]] = deque()
+    for run, (_, chosen) in zip(group, wanted, strict=True):
+        if _done(run, chosen):
+            setup.progress(_label(run), 1.0)
+        else:
+            baseline.get(chosen.case, setup.progress)
+            waiting.append((run, chosen))
+    if not waiting:
+        return group
+    cores = collect.usable_cores()
+    engine: Engine = Threads(1) if setup.miniature else Processes(min(cores, len(waiting)))
+    flying: dict[Future, tuple[Run, Settings]] = {}
+    with closing(engine):
+        share = cores // engine.slots
+        while waiting or flying:
+            while waiting and len(flying) < engine.slots:
+                run, chosen = waiting.popleft()
+                flying[engine.submit(_train_on, run, chosen, share)] = run, chosen
+            done, _ = wait(flying, timeout=1.0, return_when=FIRST_COMPLETED)
+            for run, chosen in flying.values():
+                updates = len(runs.rows(run.folder / "updates.csv"))
+                episodes = updates * chosen.learning.update_period
+                setup.progress(_label(run), min(episodes / chosen.learning.episodes, 1.0))
+            for future in done:
+                del flying[future]
+                future.result()
+    return group
+
+
+def timed(setup: Setup, figure: str, name: str, chosen: Settings) -> Run:
+    """Return a training's run made with nothing beside it and a process a worker, for the times in its tables."""
+    run = Run(_folder(setup, figure, name, chosen))
+    if not _done(run, chosen):
+        baseline.get(chosen.case, setup.progress)
+        how, done = chosen.collection, 0
+        layout = collect.layout(how.envs, how.workers, how.lanes, chosen.learning.update_period)
+
+        def show(episodes, shares, failures) -> None:
+            nonlocal done
+            done += len(episodes)
+            setup.progress(_label(run), min(done / chosen.learning.episodes, 1.0))
+
+        # one that was stopped has the stop in its times
+        shutil.rmtree(run.folder, ignore_errors=True)
+        with closing(Processes(layout.workers)) as engine:
+            _train(run, chosen, engine, layout, show)
+    setup.progress(_label(run), 1.0)
+    return run
+
+
+def _folder(setup: Setup, figure: str, name: str, chosen: Settings) -> Path:
+    return setup.runs / f"{figure}{setup.tail}" / f"{name.replace(' ', '-')}-s{chosen.seed}"
+
+
+def _label(run: Run) -> str:
+    name, seed = run.folder.name.rsplit("-s", 1)
+    return f"{run.folder.parent.name} {name}, seed {seed}"
+
+
+def _done(run: Run, chosen: Settings) -> bool:
+    """Return whether a training has come to its end; ValueError when it was another one."""
+    if (run.folder / "settings.json").exists() and run.settings != chosen:
+        raise ValueError(f"figure: {run.folder} was made with other settings; delete it, or begin anew with --fresh")
+    return (run.folder / "training.json").exists()
+
+
+def _train_on(run: Run, chosen: Settings, cores: int) -> None:
+    """Train in this process, with threads for more than one core."""
+    how = chosen.collection
+    layout = collect.layout(how.envs, how.workers, how.lanes, chosen.learning.update_period, cores)
+    with closing(Threads(layout.workers)) as engine:
+        _train(run, chosen, engine, layout)
+
+
+def _train(
+    run: Run, chosen: Settings, engine: Engine, layout: collect.Layout, show: train.Show = lambda *_: None
+) -> None:
+    """Train, or go on from where a training was stopped, and write down that it has come to its end."""
+    if (run.folder / "settings.json").exists():
+        result = train.resume(run.folder, engine, layout, show)
+    else:
+        result = train.train(run.folder, chosen, engine, layout, show)
+    runs.write_json(run.folder / "training.json", asdict(result))
+
+
+def simulation(run: Run) -> JetFlows:
+    """Return what a run played."""
+    played = run.simulation()
+    assert isinstance(played, JetFlows)
+    return played
