@@ -44,7 +44,7 @@ class Sleeper:
     def expected_seconds(self, lanes):
         return None
 
-    def play(self, policy, explorations):
+    def play(self, driving, explorations):
         index = explorations[0].index
         time.sleep(self.seconds[index])
         zero = np.zeros(HORIZON)
@@ -53,7 +53,7 @@ class Sleeper:
         return [
             Episode(
                 index,
-                policy.version,
+                np.full(HORIZON, driving[0].version),
                 observations,
                 observations[-1],
                 explorations[0].noise.astype(np.float32),

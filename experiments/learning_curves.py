@@ -46,7 +46,7 @@ def _episodes(series: str, run: Run, updates: int) -> list[dict[str, Any]]:
                 "seed": run.settings.seed,
                 "arrived": k + 1,
                 "version": int(row["version"]),
-                "staleness": int(row["staleness"]),
+                "staleness": float(row["staleness"]),
                 "c_d": float(row["c_d_second_half"]),
                 "c_l": float(row["c_l_second_half"]),
                 "reward": float(row["reward"]) / int(row["length"]),

@@ -4,17 +4,21 @@ Claim: learning is nearly as good at equal episodes, with clear steps, since sev
 environments end their episodes at about the same time; the speed-up is 55 to 60 at 60; that the second and third
 update of such a burst are of older policies' episodes does no harm.
 Here: three seeds each, 300 episodes, on the virtual clock, which orders arrivals reproducibly: durations with a spread
-of 0.5 %, an update of 0.3 % of the T_L episodes it is made of (the paper's share). Times are in episodes of one
-environment, drawn in seconds of an episode measured in one lane (`synced`). No harm: the mean final C_D of the seeds is
-not above that of synced 20 by more than twice the standard error of the difference; Welch's p is given beside it.
+of 0.5 %, an update of 0.3 % of the T_L episodes it is made of (the paper's share). As in the paper's code every action
+is of the newest policy (`newest_policy`), and PPO's ratio is to the policy about to be updated (`ratio_to`). Beside it
+60 environments whose episodes keep the policy they began with, and the ratio to that policy: what `--schedule unsynced`
+does by default. Times are in episodes of one environment, drawn in seconds of an episode measured in one lane
+(`synced`). No harm: the mean final C_D of the seeds is not above that of synced 20 by more than twice the standard
+error of the difference; Welch's p is given beside it.
 Command: manywake figure overparallel
-Cost: 6 trainings beside those of `synced`, 12 to 18 min.
-Expected: plateaus of 60 episodes, the first of 120; speed-up of 300 episodes 58 (they are 5 rounds of 60). Episodes
-of 60 are 3, 4, 5 updates old, not 0, 1, 2 as in the paper: here an episode keeps the policy it began with, and begins
-before the updates of its round are made; the paper's runner asks the newest policy for every action. The share of
-samples clipped before an update begins shows how far off-policy it is.
+Cost: 9 trainings beside those of `synced`, 12 min.
+Expected: plateaus of 60 episodes, the first of 120; speed-up of 300 episodes 58 (they are 5 rounds of 60). When used,
+the last actions of 60 environments' episodes are 0, 1 and 2 updates old, as in the paper, and 3, 4 and 5 where
+an episode keeps its policy, since it begins before the updates of its round are made. The share of samples clipped
+before an update begins shows how far off-policy it is.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import learning_curves
@@ -39,10 +43,11 @@ def environments(setup: Setup) -> tuple[int, ...]:
 
 
 def run(setup: Setup) -> None:
-    ways = {n: Collection(schedule="unsynced", clock="virtual", envs=n) for n in environments(setup)}
-    sets = {"synced 20": synced.trained(setup)} | trainings.seeded(
-        setup, "overparallel", EPISODES, {f"unsynced {n}": {"collection": how} for n, how in ways.items()}
-    )
+    ways = {n: replace(MODEL, envs=n, newest_policy="action") for n in environments(setup)}
+    unsynced = {f"unsynced {n}": {"collection": how, "ratio_to": "current"} for n, how in ways.items()}
+    most = max(ways)
+    unsynced[f"unsynced {most}, policy kept"] = {"collection": replace(MODEL, envs=most)}
+    sets = {"synced 20": synced.trained(setup)} | trainings.seeded(setup, "overparallel", EPISODES, unsynced)
     learning_curves.write_tables(setup, "overparallel", sets)
     table = read(setup.csv("overparallel"))
     write(setup.csv("overparallel"), _on_the_virtual_clock(setup, table))
@@ -55,7 +60,7 @@ def _on_the_virtual_clock(setup: Setup, table: Table) -> list[dict[str, Any]]:
     rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
     plans: dict[int, schedule.Plan] = {}
     for row in rows:
-        for name in ("seed", "arrived", "version", "staleness"):
+        for name in ("seed", "arrived", "version"):
             row[name] = int(row[name])
         if row["series"] == "synced 20":
             plan = plans.setdefault(row["seed"], _plan(setup, row["seed"], 20, False, len(rows)))
@@ -152,7 +157,7 @@ def summary(setup: Setup) -> dict:
         mine = where(updates, series=series)
         for name in ("staleness_mean", "staleness_max", "clipped_before", "clip_fraction", "burst"):
             row[name] = float(np.nanmax(mine[name]) if name.endswith("max") else np.nanmean(mine[name]))
-        n = int(series.split()[1])
+        n = int(series.split()[1].rstrip(","))
         row["speedup_paper_learner"] = speedup(setup, n, series.startswith("unsynced"))
         row["speedup_our_learner"] = speedup(setup, n, series.startswith("unsynced"), _ours(setup))
     policies = {series: where(final, series=series)["c_d"].tolist() for series in names(final)}

@@ -7,7 +7,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from experiment import Setup
 
@@ -35,6 +35,7 @@ def settings(
     protocol: str | None = None,
     chosen: Case = CASE,
     collection: Collection = Collection(),  # noqa: B008
+    ratio_to: Literal["behaviour", "current"] = "behaviour",
     **changes: Any,
 ) -> Settings:
     """Return the settings of one training by protocol (that of the set-up), with changes of its task.
@@ -43,7 +44,7 @@ def settings(
     """
     protocol = protocol or setup.protocol
     task, learning = PROTOCOLS[protocol]
-    task, learning = replace(task, **changes), replace(learning, episodes=episodes)
+    task, learning = replace(task, **changes), replace(learning, episodes=episodes, ratio_to=ratio_to)
     if setup.miniature:
         brief = min(task.action_interval, 10 * chosen.time_step)
         task = replace(task, actions_per_episode=2, action_interval=brief)

@@ -10,6 +10,8 @@ import pytest
 from manywake.learn import ppo, schedule
 from manywake.learn.collect import MOST_FAILURES, EpisodeFailed, Layout, layout
 from manywake.learn.engine import Processes, Threads
+from manywake.learn.policy import act, sample
+from manywake.learn.rollout import explore
 from manywake.learn.settings import Learning
 
 from .toy import Toy, collector, synced
@@ -49,10 +51,11 @@ def test_synced_training_is_the_same_for_any_number_of_environments_and_layout(s
     assert digest(engine=engine, layout=grid, plan=synced(40, grid.environments, 10)) == serial
 
 
+@pytest.mark.parametrize("asks", [1, HORIZON])
 @pytest.mark.parametrize("shape", [(25, 1, 1), (25, 3, 4), (25, 2, 8)])
-def test_unsynced_training_on_the_virtual_clock_is_the_same_for_any_layout(processes, shape):
-    plan = schedule.unsynced(SECONDS, 25, 10, 0.3)
-    assert (plan.update > plan.version).any()
+def test_unsynced_training_on_the_virtual_clock_is_the_same_for_any_layout(processes, shape, asks):
+    plan = schedule.unsynced(SECONDS, 25, 10, 2.0, asks)
+    assert (plan.update > plan.version[:, 0]).any()
     reference = digest(layout=Layout(25, 1, 25), plan=plan)
     assert digest(engine=processes, layout=Layout(*shape), plan=plan) == reference
 
@@ -66,7 +69,7 @@ def test_unsynced_on_the_real_clock_uses_every_episode_once_with_the_version_it_
     model.learn(LEARNING.episodes * HORIZON)
     assert sorted(e.index for _, episodes in batches for e in episodes) == list(range(40))
     for version, episodes in batches:
-        assert all(episode.policy_version <= version for episode in episodes)
+        assert all(set(episode.versions) <= set(range(version + 1)) for episode in episodes)
         assert [e.index for e in episodes] == sorted(e.index for e in episodes)
     assert taken.pending() == []
 
@@ -136,14 +139,14 @@ def test_blocks_never_mix_versions_and_never_outnumber_the_workers():
     lock = threading.Lock()
 
     class Counting(Toy):
-        def play(self, policy, explorations):
+        def play(self, driving, explorations):
             nonlocal running, most
             with lock:
                 running += 1
                 most = max(most, running)
             try:
-                episodes = super().play(policy, explorations)
-                versions.append({episode.policy_version for episode in episodes})
+                episodes = super().play(driving, explorations)
+                versions.append({version for episode in episodes for version in episode.versions.tolist()})
                 return episodes
             finally:
                 with lock:
@@ -155,8 +158,30 @@ def test_blocks_never_mix_versions_and_never_outnumber_the_workers():
     assert all(len(found) == 1 for found in versions)
 
 
-def test_a_collector_that_goes_on_from_the_middle_gives_the_same_episodes():
-    plan = schedule.unsynced(SECONDS, 25, 10, 0.3)
+def test_an_action_is_drawn_by_the_policy_that_the_plan_gives_it():
+    plan = schedule.unsynced(SECONDS, 25, 10, 2.0, HORIZON)
+    taken = collector(Toy(horizon=HORIZON), learning=LEARNING, layout=Layout(25, 1, 8), plan=plan)
+    model, policies, episodes = ppo.build(LEARNING, taken), [], []
+
+    def remember(model, batch):
+        policies.append(ppo.snapshot(model))
+        episodes.extend(batch)
+
+    model.hooks.collected = remember
+    model.learn(LEARNING.episodes * HORIZON)
+    assert any(len(set(episode.versions)) > 1 for episode in episodes)
+    for episode in episodes:
+        np.testing.assert_array_equal(episode.versions, plan.version[episode.index])
+        noise = explore(0, episode.index, HORIZON, 1).noise
+        for t, version in enumerate(episode.versions):
+            mean = act(policies[version], episode.observations[t : t + 1])
+            action, log_prob = sample(policies[version], mean, noise[t : t + 1])
+            assert (action[0], log_prob[0]) == (episode.actions[t], episode.log_probs[t])
+
+
+@pytest.mark.parametrize("asks", [1, HORIZON])
+def test_a_collector_that_goes_on_from_the_middle_gives_the_same_episodes(asks):
+    plan = schedule.unsynced(SECONDS, 25, 10, 2.0, asks)
     whole = collector(Toy(horizon=HORIZON), learning=LEARNING, layout=Layout(25, 1, 8), plan=plan)
     model = ppo.build(LEARNING, whole)
     policies = [ppo.snapshot(model)]
@@ -169,8 +194,9 @@ def test_a_collector_that_goes_on_from_the_middle_gives_the_same_episodes():
     model.hooks.updated = remember
     model.learn(LEARNING.episodes * HORIZON)
     again = collector(Toy(horizon=HORIZON), learning=LEARNING, layout=Layout(25, 1, 3), plan=plan)
-    begun = np.flatnonzero((plan.version < 2) & (plan.update >= 2))
-    again.resume(2, [(int(k), int(plan.version[k])) for k in begun], policies.__getitem__)
+    begun = np.flatnonzero((plan.version[:, -1] < 2) & (plan.update >= 2))
+    assert (plan.version[plan.version[:, -1] >= 2, 0] < 2).any() == (asks > 1)  # those ask for old policies again
+    again.resume(2, [(int(k), int(plan.version[k, 0])) for k in begun], policies.__getitem__)
     for version in (2, 3):
         for ours, theirs in zip(again.collect(policies[version]), batches[version], strict=True):
             assert ours.index == theirs.index

@@ -1,11 +1,14 @@
 """The learner: stock PPO on whole episodes, with the normaliser in the policy."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from stable_baselines3 import PPO
 
 from manywake.learn import policy as policies
-from manywake.learn import ppo
+from manywake.learn import ppo, schedule
+from manywake.learn.collect import Layout
 
 from .toy import LEARNING, Toy, collector
 
@@ -95,6 +98,26 @@ def test_advantages_are_those_of_generalised_advantage_estimation():
         naive = [sum(weights**j * delta[t + j] for j in range(n - t)) for t in range(n)]
         np.testing.assert_allclose(before["advantages"][k : k + n], naive, rtol=0, atol=1e-4)
         k += n
+
+
+def test_a_ratio_to_the_current_policy_begins_at_one_however_old_the_episodes_are():
+    """With one minibatch and one epoch nothing can be clipped yet, unless the ratio is to an older policy."""
+    plan = schedule.unsynced(np.full(100, 5.0), 30, 10, 0.1)
+    found = {}
+    for reference in ("behaviour", "current"):
+        learning = replace(LEARNING, ratio_to=reference, n_epochs=1, batch_size=10 * HORIZON)
+        model = ppo.build(learning, collector(learning=learning, layout=Layout(30, 1, 30), plan=plan))
+        before, clipped = [], []
+
+        def updated(model, episodes, before=before, clipped=clipped):
+            before.append(model.clipped_before)
+            clipped.append(model.logger.name_to_value["train/clip_fraction"])
+
+        model.hooks.updated = updated
+        model.learn(100 * HORIZON)
+        found[reference] = max(before), max(clipped)
+    assert found["behaviour"][0] > 0.05 and found["behaviour"][1] > 0.05
+    assert found["current"][0] > 0.05 and found["current"][1] == 0.0
 
 
 def test_learning_rate_falls_linearly_with_the_episodes():

@@ -80,12 +80,12 @@ def test_a_fault_costs_no_bit(tmp_path, engine, fault):
 class Gated(Toy):
     """From the twelfth episode on, a block says that it has begun, and waits for the gate to open."""
 
-    def play(self, policy, explorations):
+    def play(self, driving, explorations):
         if explorations[0].index >= 12:
             (self.folder / f"begun-{explorations[0].index}").touch()
             while not (self.folder / "open").exists():
                 time.sleep(0.02)
-        return super().play(policy, explorations)
+        return super().play(driving, explorations)
 
 
 def test_a_node_that_vanishes_in_mid_training_costs_no_bit(cluster, tmp_path):

@@ -41,7 +41,7 @@ def policy(flows):
 
 
 def play(flows, policy, indices, run_seed=7):
-    return flows.play(policy, [explore(run_seed, index, TASK.actions_per_episode, 1) for index in indices])
+    return flows.play([policy], [explore(run_seed, index, TASK.actions_per_episode, 1) for index in indices])
 
 
 def physics(episode) -> bytes:

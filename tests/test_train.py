@@ -25,6 +25,9 @@ LEARNING = Learning(update_period=4, episodes=16, learner_threads=1, batch_size=
 LAYOUT = Layout(4, 2, 2)
 UNSYNCED = Collection(schedule="unsynced", clock="virtual", envs=6, episode_spread=0.2, update_seconds=1.0)
 
+NEWEST = dataclasses.replace(UNSYNCED, newest_policy="action", episode_seconds=2.0)
+"""Updates of half an episode's time: they come amid episodes."""
+
 
 def settings(collection=Collection(), seed=5) -> Settings:  # noqa: B008
     return Settings(case.by_name("cylinder-jets"), Task(actions_per_episode=2), LEARNING, collection, seed)
@@ -46,7 +49,12 @@ def final(folder) -> tuple:
 def whole(tmp_path_factory):
     """The folder of an undisturbed training, by kind of schedule."""
     made = {}
-    for name, collection, layout in (("synced", Collection(), LAYOUT), ("unsynced", UNSYNCED, Layout(6, 2, 3))):
+    kinds = (
+        ("synced", Collection(), LAYOUT),
+        ("unsynced", UNSYNCED, Layout(6, 2, 3)),
+        ("newest", NEWEST, Layout(6, 2, 3)),
+    )
+    for name, collection, layout in kinds:
         made[name] = tmp_path_factory.mktemp("runs") / name
         train.train(made[name], settings(collection), Threads(2), layout)
     return made
@@ -89,11 +97,20 @@ def test_a_synced_training_goes_on_to_the_same_bits(tmp_path, whole, updates):
 
 
 @pytest.mark.parametrize("updates", [0, 2])
-def test_an_unsynced_training_on_the_virtual_clock_goes_on_with_what_was_on_its_way(tmp_path, whole, updates):
-    assert any(row["staleness"] != "0" for row in runs.rows(whole["unsynced"] / "episodes.csv"))
-    stopped_after(tmp_path / "run", updates, UNSYNCED, Layout(6, 1, 3))
+@pytest.mark.parametrize(("kind", "how"), [("unsynced", UNSYNCED), ("newest", NEWEST)])
+def test_an_unsynced_training_on_the_virtual_clock_goes_on_with_what_was_on_its_way(
+    tmp_path, whole, updates, kind, how
+):
+    ages = {float(row["staleness"]) for row in runs.rows(whole[kind] / "episodes.csv")}
+    assert max(ages) > 0.0 and any(age % 1 for age in ages) == (kind == "newest")
+    stopped_after(tmp_path / "run", updates, how, Layout(6, 1, 3))
     train.resume(tmp_path / "run", Threads(2), Layout(6, 2, 3))
-    assert final(tmp_path / "run") == final(whole["unsynced"])
+    assert final(tmp_path / "run") == final(whole[kind])
+
+
+def test_an_episode_of_several_policies_is_replayed_to_the_bit(whole):
+    mixed = [row for row in runs.rows(whole["newest"] / "episodes.csv") if float(row["staleness"]) % 1]
+    assert all(train.replay(runs.Run(whole["newest"]), int(row["episode"])).same for row in mixed)
 
 
 def test_an_unsynced_training_on_the_real_clock_goes_on_without_losing_an_episode(tmp_path):

@@ -46,12 +46,12 @@ class Toy:
     def expected_seconds(self, lanes: int) -> float | None:
         return None
 
-    def play(self, policy, explorations) -> list[Episode]:
+    def play(self, driving, explorations) -> list[Episode]:
         for exploration in explorations:
             self._fail(exploration.index)
         time.sleep(self.seconds)
         share = self.seconds / len(explorations)
-        return [replace(self._play(policy, exploration), flow_seconds=share) for exploration in explorations]
+        return [replace(self._play(driving, exploration), flow_seconds=share) for exploration in explorations]
 
     def _fail(self, index: int) -> None:
         fault = dict(self.faults).get(index)
@@ -69,23 +69,23 @@ class Toy:
             while True:
                 time.sleep(60)
 
-    def _play(self, policy, exploration) -> Episode:
+    def _play(self, driving, exploration) -> Episode:
         rng = np.random.default_rng(exploration.seed)
         early = self.terminate_every is not None and exploration.index % self.terminate_every == 0
         length = self.horizon // 2 if early else self.horizon
         x, drift = rng.uniform(-1, 1), 0.1
         observations, actions, log_probs, rewards = [], [], [], []
-        for noise in exploration.noise[:length]:
+        for which, noise in zip(exploration.which[:length], exploration.noise[:length], strict=True):
             observation = np.array([5 + x, x * x, 1.0], np.float32)
-            mean = policies.act(policy, observation[None])
-            action, log_prob = policies.sample(policy, mean, noise[None])
+            action, log_prob = policies.draw(driving, which[None], observation[None], noise[None])
             x += drift + 0.5 * float(np.clip(action[0, 0], -1, 1))
             observations.append(observation)
             actions.append(action[0])
             log_probs.append(log_prob[0])
             rewards.append(-abs(x))
+        versions = np.array([policy.version for policy in driving])[exploration.which[:length]]
         return Episode(
-            exploration.index, policy.version, np.stack(observations), np.array([5 + x, x * x, 1.0], np.float32),
+            exploration.index, versions, np.stack(observations), np.array([5 + x, x * x, 1.0], np.float32),
             np.stack(actions), np.array(log_probs), np.array(rewards), {"x": -np.array(rewards)}, early, 0.0, 0.0,
         )  # fmt: skip
 

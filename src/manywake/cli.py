@@ -384,7 +384,7 @@ class Resume:
 
 @dataclass(frozen=True)
 class ReplayCommand:
-    """Play one episode of a run again, alone, with the policy it was begun with, and compare it with its record."""
+    """Play one episode of a run again, alone, with the policies it was played by, and compare it with its record."""
 
     run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     episode: Annotated[int, tyro.conf.Positional]
@@ -396,7 +396,7 @@ class ReplayCommand:
         result = train.replay(runs.Run(self.run_folder), self.episode)
         described = {
             "episode": self.episode,
-            "version": result.episode.policy_version,
+            "version": int(result.episode.versions[0]),
             **result.numbers,
             "same_as_recorded": result.same,
         }

@@ -73,7 +73,7 @@ def test_an_older_processor_plays_the_same_episode(tmp_path, shipped):
     script.write_text(
         "import sys, pickle\n"
         "flows, policy, explorations = pickle.load(open(sys.argv[1], 'rb'))\n"
-        "pickle.dump(flows.play(policy, explorations), open(sys.argv[2], 'wb'))\n"
+        "pickle.dump(flows.play([policy], explorations), open(sys.argv[2], 'wb'))\n"
     )
     from manywake.learn import ppo
     from manywake.learn.rollout import JetFlows, explore
@@ -90,5 +90,5 @@ def test_an_older_processor_plays_the_same_episode(tmp_path, shipped):
     environment = os.environ | old | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
     subprocess.run([sys.executable, script, tmp_path / "in", tmp_path / "out"], check=True, env=environment)
     theirs = pickle.loads((tmp_path / "out").read_bytes())
-    ours = flows.play(policy, explorations)
+    ours = flows.play([policy], explorations)
     assert [physics(episode) for episode in ours] == [physics(episode) for episode in theirs]

@@ -99,23 +99,23 @@ class EpisodeFailed(RuntimeError):
 
 @dataclass(frozen=True)
 class _Block:
-    """Episodes that start and end together under one policy, as `policy` is shared with the workers.
+    """Episodes that start and end together, and the policies that play them, as these are shared with the workers.
 
-    group: the episodes the block was cut from, should it have been lost and split. bound: whether its version stands;
-    else it takes the newest when it starts.
+    versions: of the policies, rising. group: the episodes the block was cut from, should it have been lost and split.
+    bound: whether its versions stand; else it takes the newest when it starts.
     """
 
     indices: tuple[int, ...]
-    version: int
-    policy: Any
+    versions: tuple[int, ...]
+    policies: tuple[Any, ...]
     group: tuple[int, ...]
     bound: bool
     begun: float = 0.0
 
 
-def play(simulation: Simulation, policy: Policy, explorations: list[Exploration]) -> list[Episode]:
+def play(simulation: Simulation, explorations: list[Exploration], *driving: Policy) -> list[Episode]:
     """Play a block in a worker."""
-    return simulation.play(policy, explorations)
+    return simulation.play(driving, explorations)
 
 
 @dataclass
@@ -144,7 +144,9 @@ class Collector:
     _arrived: dict[int, tuple[Episode, float]] = field(default_factory=dict)
     _attempts: dict[int, int] = field(default_factory=dict)
     _next: int = 0
-    _newest: tuple[int, Any] | None = None
+    _newest: int = 0
+    _policies: dict[int, Any] = field(default_factory=dict)
+    _policy_of: Callable[[int], Policy] | None = None
     _begun: dict[int, int] = field(default_factory=dict)
     _outstanding: dict[tuple[int, ...], int] = field(default_factory=dict)
     _error: BaseException | None = None
@@ -160,11 +162,12 @@ class Collector:
         Raises EpisodeFailed when an episode cannot be played.
         """
         with self._change:
-            self._newest = policy.version, self.engine.share(policy)
+            self._take(policy)
             if self.plan is not None:
-                self._start(np.flatnonzero(self.plan.version == policy.version).tolist(), *self._newest, bound=True)
+                last = self.plan.version[:, -1]
+                self._start(np.flatnonzero(last == policy.version).tolist(), policy.version, bound=True)
             elif self._next == 0:
-                self._start(self._indices(self.layout.environments), *self._newest, bound=False)
+                self._start(self._indices(self.layout.environments), policy.version, bound=False)
             self._fill()
             while self._error is None and (wanted := self._wanted(policy.version)) is None:
                 self._change.wait()
@@ -185,8 +188,9 @@ class Collector:
         for index, played_by in pending:
             by_version.setdefault(played_by, []).append(index)
         with self._change:
+            self._policy_of = policy_of
             for played_by, indices in sorted(by_version.items()):
-                self._start(sorted(indices), played_by, self.engine.share(policy_of(played_by)), bound=True)
+                self._start(sorted(indices), played_by, bound=True)
             begun = [index for indices in by_version.values() for index in indices]
             self._next = max([version * self.period - 1, *begun]) + 1
 
@@ -200,15 +204,35 @@ class Collector:
         self._next += len(indices)
         return indices
 
-    def _start(self, indices: list[int], version: int, policy: Any, bound: bool) -> None:
-        """Queue episodes in rounds of the environments, each cut into blocks of lanes."""
-        self._begun |= dict.fromkeys(indices, version)
+    def _take(self, policy: Policy) -> None:
+        """Share the newest policy, and forget those that no episode still to be started is played by."""
+        self._newest = policy.version
+        self._policies[policy.version] = self.engine.share(policy)
+        oldest = policy.version
+        if self.plan is not None:
+            oldest = min(self.plan.version[self.plan.version[:, -1] >= policy.version, 0], default=oldest)
+        self._policies = {version: shared for version, shared in self._policies.items() if version >= oldest}
+
+    def _shared_policies(self, versions: tuple[int, ...]) -> tuple[Any, ...]:
+        for version in versions:
+            if version not in self._policies:  # only after resuming
+                assert self._policy_of is not None
+                self._policies[version] = self.engine.share(self._policy_of(version))
+        return tuple(self._policies[version] for version in versions)
+
+    def _start(self, indices: list[int], version: int, bound: bool) -> None:
+        """Queue episodes in rounds of the environments, each cut into blocks of lanes.
+
+        version: the one they are played by where there is no plan.
+        """
+        self._begun |= dict.fromkeys(indices, version) if self.plan is None else self.plan.first(indices)
         environments, lanes = self.layout.environments, self.layout.lanes
         for first in range(0, len(indices), environments):
             in_round = indices[first : first + environments]
             for k in range(0, len(in_round), lanes):
                 block = tuple(in_round[k : k + lanes])
-                self._queue.append(_Block(block, version, policy, block, bound))
+                versions = (version,) if self.plan is None else self.plan.versions(block)
+                self._queue.append(_Block(block, versions, self._shared_policies(versions), block, bound))
                 self._outstanding[block] = len(block)
 
     def _wanted(self, version: int) -> list[int] | None:
@@ -222,16 +246,24 @@ class Collector:
     def _fill(self) -> None:
         while self._queue and self._error is None and len(self._flying) < min(self.engine.slots, self.layout.workers):
             block = self._queue.popleft()
-            if not block.bound and self._newest is not None:
-                block = replace(block, version=self._newest[0], policy=self._newest[1])
-                self._begun |= dict.fromkeys(block.indices, block.version)
+            if not block.bound:
+                newest = (self._newest,)
+                block = replace(block, versions=newest, policies=self._shared_policies(newest))
+                self._begun |= dict.fromkeys(block.indices, self._newest)
             block = replace(block, begun=time.perf_counter(), bound=True)
             horizon = self.simulation.horizon
-            explorations = [explore(self.run_seed, index, horizon, self._actions) for index in block.indices]
+            explorations = [
+                explore(self.run_seed, index, horizon, self._actions, self._asks(block, index))
+                for index in block.indices
+            ]
             limit = self._limit()
-            future = self.engine.submit(play, self._shared, block.policy, explorations, timeout=limit)
+            future = self.engine.submit(play, self._shared, explorations, *block.policies, timeout=limit)
             self._flying[future] = block
             future.add_done_callback(self._done)
+
+    def _asks(self, block: _Block, index: int) -> np.ndarray:
+        """Return which of a block's policies play the parts of an episode."""
+        return np.zeros(1, int) if self.plan is None else np.searchsorted(block.versions, self.plan.version[index])
 
     def _limit(self) -> float | None:
         if self.time_limit is not None:
@@ -267,9 +299,9 @@ class Collector:
         self._outstanding[block.group] -= len(block.indices)
         if not self._outstanding[block.group]:
             del self._outstanding[block.group]
-            if self.plan is None and self._newest is not None:
+            if self.plan is None:
                 free = self.layout.environments - sum(self._outstanding.values())
-                self._start(self._indices(max(free, 0)), *self._newest, bound=False)
+                self._start(self._indices(max(free, 0)), self._newest, bound=False)
         self.seen(episodes)
 
     def _lost(self, block: _Block, error: BaseException) -> None:
@@ -280,7 +312,7 @@ class Collector:
         if len(block.indices) == 1:
             index = block.indices[0]
             attempt = self._attempts[index] = self._attempts.get(index, 0) + 1
-        self.failed(Failure(block.indices, block.version, kind, cause, attempt))
+        self.failed(Failure(block.indices, block.versions[0], kind, cause, attempt))
         if attempt >= MOST_FAILURES:
             raise EpisodeFailed(block.indices[0], self.run_seed, cause)
         self._queue.extendleft(replace(block, indices=(index,)) for index in reversed(block.indices))

@@ -158,7 +158,7 @@ class Shared:
         self.path = path
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)
 def _read(path: str) -> Any:
     return pickle.loads(Path(path).read_bytes())
 

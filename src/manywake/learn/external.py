@@ -4,6 +4,7 @@ import importlib
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gymnasium
@@ -34,28 +35,27 @@ class External:
     def spaces(self) -> tuple[Box, Box]:
         return self.observation, self.action
 
-    def play(self, policy: Policy, explorations: list[Exploration]) -> list[Episode]:
+    def play(self, driving: Sequence[Policy], explorations: list[Exploration]) -> list[Episode]:
         key = self.name, self.folder
         if getattr(_here, "key", None) != key:
             _close()
             _here.environment, _here.key = _make(*key), key
         try:
-            return [self._play(_here.environment, policy, exploration) for exploration in explorations]
+            return [self._play(_here.environment, driving, exploration) for exploration in explorations]
         except BaseException:
             _close()
             raise
 
-    def _play(self, environment: gymnasium.Env, policy: Policy, exploration: Exploration) -> Episode:
+    def _play(self, environment: gymnasium.Env, driving: Sequence[Policy], exploration: Exploration) -> Episode:
         space = environment.action_space
         assert isinstance(space, Box)
         observation, _ = environment.reset(seed=exploration.seed)
         observations, actions, log_probs, rewards = [_flat(observation)], [], [], []
         readings: dict[str, dict[int, float]] = {}
         policy_seconds, begin, terminated = 0.0, time.perf_counter(), False
-        for noise in exploration.noise:
+        for which, noise in zip(exploration.which, exploration.noise, strict=True):
             start = time.perf_counter()
-            mean = policies.act(policy, observations[-1][None])
-            action, log_prob = policies.sample(policy, mean, noise[None])
+            action, log_prob = policies.draw(driving, which[None], observations[-1][None], noise[None])
             policy_seconds += time.perf_counter() - start
             played = np.clip(action[0].reshape(space.shape), space.low, space.high).astype(space.dtype)
             observation, reward, terminated, truncated, info = environment.step(played)
@@ -72,7 +72,7 @@ class External:
             raise ValueError(f"environment {self.name!r}: got a reward or an observation that is not finite")
         return Episode(
             exploration.index,
-            policy.version,
+            np.array([policy.version for policy in driving])[exploration.which[: len(rewards)]],
             np.stack(observations[:-1]),
             observations[-1],
             np.stack(actions),

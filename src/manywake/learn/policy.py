@@ -1,5 +1,6 @@
 """A policy as plain arrays, and its forward pass: the same bits for every batch, and no torch where it plays."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -86,6 +87,18 @@ def act(policy: Policy, observations: np.ndarray) -> np.ndarray:
         parts.append(simd.numbers(x)[:, 0, : len(block)].T)
         column += width
     return np.concatenate(parts)
+
+
+def draw(
+    policies: Sequence[Policy], which: np.ndarray, observations: np.ndarray, noise: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return actions (B, actions) and log-probs (B,) for observations (B, values): row k is of policies[which[k]]."""
+    actions, log_probs = np.empty(noise.shape, np.float32), np.empty(len(noise))
+    for k in np.unique(which):
+        rows = which == k
+        mean = act(policies[k], observations[rows])
+        actions[rows], log_probs[rows] = sample(policies[k], mean, noise[rows])
+    return actions, log_probs
 
 
 def sample(policy: Policy, mean: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -144,6 +144,10 @@ class EpisodicPPO(PPO):
             ratio = torch.exp(distribution.log_prob(torch.from_numpy(actions)) - log_probs)
             self.clipped_before = float((abs(ratio - 1) > self.learning.clip_range).float().mean())
         normaliser(self).update(observations)
+        if self.learning.ratio_to == "current":
+            with torch.no_grad():
+                distribution = self.policy.get_distribution(obs_as_tensor(observations, self.device))
+                log_probs = distribution.log_prob(torch.from_numpy(actions))
 
         total = len(observations)
         buffer = RolloutBuffer(

@@ -2,11 +2,13 @@
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from gymnasium.spaces import Box
+from numpy.typing import ArrayLike
 
 from manywake.env.env import spaces
 from manywake.env.task import ControlledFlow, Task
@@ -23,13 +25,13 @@ class Episode:
     observations: (T, values) before each action, last_observation: (values,) after the last. actions: (T, actions) as
     drawn, before clipping, with their log_probs (T,). rewards: (T,). readings: named scalars of each action, (T,), of a
     cylinder c_d, c_l and jets. terminated: it ended at a terminal state (a flow that blew up), which has no value;
-    otherwise the horizon was reached. policy_version: that of the policy it was played with, to its end.
+    otherwise the horizon was reached. versions: (T,) of the policies that drew the actions.
     flow_seconds, policy_seconds: this episode's share of its block's time; transport_seconds, waiting_seconds: its
     share of the rest of the way to the learner, and how long it then lay there until an update used it.
     """
 
     index: int
-    policy_version: int
+    versions: np.ndarray
     observations: np.ndarray
     last_observation: np.ndarray
     actions: np.ndarray
@@ -45,22 +47,30 @@ class Episode:
 
 @dataclass(frozen=True)
 class Exploration:
-    """What is random in one episode: a seed for the simulation, and the noise of the actions, (horizon, actions).
+    """What is one episode's own, and not the simulation's or the policies'.
 
-    Drawn where the learner is and not where the episode is played: the normal distribution's tail asks the machine's
-    mathematical library for logarithms, and two machines need not agree on the last bit.
+    seed: for the simulation. noise: of the actions, (horizon, actions). which: of the policies the episode is played
+    with, the one that draws each action, (horizon,). The noise is drawn where the learner is and not where the episode
+    is played: the normal distribution's tail asks the machine's mathematical library for logarithms, and two machines
+    need not agree on the last bit.
     """
 
     index: int
     seed: int
     noise: np.ndarray
+    which: np.ndarray
 
 
-def explore(run_seed: int, index: int, horizon: int, actions: int) -> Exploration:
-    """Return the exploration of one episode: its seed names the episode, not the process that plays it."""
+def explore(run_seed: int, index: int, horizon: int, actions: int, asks: ArrayLike = (0,)) -> Exploration:
+    """Return the exploration of one episode: its seed names the episode, not the process that plays it.
+
+    asks: which policy draws the actions of each of as many equal parts of the horizon.
+    """
     sequence = np.random.SeedSequence(run_seed, spawn_key=(index,))
     noise = np.random.default_rng(sequence).standard_normal((horizon, actions))
-    return Exploration(index, int(sequence.generate_state(1)[0]), noise)
+    asks = np.asarray(asks)
+    which = asks[np.arange(horizon) * len(asks) // horizon]
+    return Exploration(index, int(sequence.generate_state(1)[0]), noise, which)
 
 
 class Simulation(Protocol):
@@ -73,7 +83,7 @@ class Simulation(Protocol):
     def spaces(self) -> tuple[Box, Box]:
         """Return the observation and the action space."""
 
-    def play(self, policy: Policy, explorations: list[Exploration]) -> list[Episode]:
+    def play(self, driving: Sequence[Policy], explorations: list[Exploration]) -> list[Episode]:
         """Play episodes side by side and return them in the order asked for."""
 
     def summary(self, episode: Episode) -> dict[str, float]:
@@ -98,10 +108,12 @@ class JetFlows:
     def spaces(self) -> tuple[Box, Box]:
         return spaces(self.operators.case, self.task)
 
-    def play(self, policy: Policy, explorations: list[Exploration]) -> list[Episode]:
+    def play(self, driving: Sequence[Policy], explorations: list[Exploration]) -> list[Episode]:
         flows = ControlledFlow(self.operators, self.baseline, self.task, len(explorations))
         horizon, count = self.horizon, len(explorations)
         noise = np.stack([exploration.noise for exploration in explorations], axis=1)
+        which = np.stack([exploration.which for exploration in explorations], axis=1)
+        versions = np.array([policy.version for policy in driving])[which]
         observation = flows.observe()
         observations = np.empty((horizon + 1, *observation.shape), np.float32)
         actions = np.empty((horizon, count, 1), np.float32)
@@ -112,8 +124,7 @@ class JetFlows:
         flow_seconds = policy_seconds = 0.0
         for t in range(horizon):
             start = time.perf_counter()
-            mean = policies.act(policy, observations[t])
-            actions[t], log_probs[t] = policies.sample(policy, mean, noise[t])
+            actions[t], log_probs[t] = policies.draw(driving, which[t], observations[t], noise[t])
             middle = time.perf_counter()
             outcome = flows.act(actions[t][:, 0])
             observations[t + 1] = flows.observe()
@@ -131,7 +142,7 @@ class JetFlows:
 
             return Episode(
                 index,
-                policy.version,
+                cut(versions),
                 cut(observations),
                 observations[length[b], b].copy(),
                 cut(actions),

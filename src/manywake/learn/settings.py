@@ -26,6 +26,9 @@ class Learning:
     clip_range: float = 0.2
     ent_coef: float = 0.0
     """Entropy bonus. None by default: with the paper's 0.01 the exploration noise does not die down."""
+    ratio_to: Literal["behaviour", "current"] = "behaviour"
+    """What the clipped probability ratio is to: the policy that drew the action, or, as in the paper's Tensorforce, the
+    one about to be updated, however old the episode is. Synced they are the same."""
     vf_coef: float = 0.5
     max_grad_norm: float = 0.5
     log_std_init: float = -1.5
@@ -83,6 +86,9 @@ class Collection:
     goes on at once with the newest policy (paper, section 3.3: over-parallelisation)."""
     clock: Literal["real", "virtual"] = "real"
     """Whose order unsynced episodes come in: the machine's, or that of modelled durations, which is reproducible."""
+    newest_policy: Literal["episode", "action"] = "episode"
+    """When an unsynced environment takes the newest policy: to begin an episode, or for every action, as the paper's
+    runner does. For every action only on the virtual clock, where it is known beforehand which policy that is."""
     envs: int | None = None
     """Environments, N of the paper; as many as episodes of an update when none of envs, workers and lanes is given."""
     workers: int | None = None
@@ -105,6 +111,11 @@ class Collection:
     """Virtual clock: duration of an update."""
 
     def __post_init__(self) -> None:
+        if self.newest_policy == "action" and (self.schedule, self.clock) != ("unsynced", "virtual"):
+            raise ValueError(
+                f"newest_policy: got action with schedule {self.schedule} and clock {self.clock}, wanted it with "
+                "--schedule unsynced --clock virtual"
+            )
         if self.address is not None and self.engine != "ray":
             raise ValueError(f"address: got {self.address!r} with engine {self.engine}, wanted it with --engine ray")
         for name in ("episode_seconds", "cpus_per_env", "time_limit"):

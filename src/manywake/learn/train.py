@@ -131,9 +131,9 @@ class Watch:
     def _row(self, episode: Episode, update: int, learner: float, wall: float, clock: float) -> dict[str, Any]:
         return {
             "episode": episode.index,
-            "version": episode.policy_version,
+            "version": episode.versions[0],
             "update": update,
-            "staleness": update - episode.policy_version,
+            "staleness": round(float(np.mean(update - episode.versions)), 3),
             **_played(self.simulation, episode),
             "flow_s": round(episode.flow_seconds, 4),
             "policy_s": round(episode.policy_seconds, 4),
@@ -186,14 +186,16 @@ def _played(simulation: Simulation, episode: Episode) -> dict[str, float]:
     }
 
 
-def plan(settings: Settings, layout: collect.Layout) -> Plan | None:
+def plan(settings: Settings, layout: collect.Layout, horizon: int) -> Plan | None:
     """Return which episode is played by which version; None when only the machine's clock can tell."""
     how, learning = settings.collection, settings.learning
     if how.schedule == "unsynced" and how.clock == "real":
         return None
     seconds = schedule.durations(settings.seed, learning.episodes, how.episode_seconds, how.episode_spread)
-    make = schedule.synced if how.schedule == "synced" else schedule.unsynced
-    return make(seconds, layout.environments, learning.update_period, how.update_seconds)
+    model = (seconds, layout.environments, learning.update_period, how.update_seconds)
+    if how.schedule == "synced":
+        return schedule.synced(*model)
+    return schedule.unsynced(*model, horizon if how.newest_policy == "action" else 1)
 
 
 def train(
@@ -279,7 +281,7 @@ def _collector(settings: Settings, simulation: Simulation, engine: Engine, layou
         layout,
         settings.learning.update_period,
         settings.learning.episodes,
-        plan(settings, layout),
+        plan(settings, layout, simulation.horizon),
         limit,
         simulation.expected_seconds(layout.lanes) if limit is None and not isinstance(engine, Threads) else None,
     )
@@ -327,13 +329,14 @@ class Replay:
 
 
 def replay(run: Run, index: int) -> Replay:
-    """Play one episode of a run again, alone and in this process, with the policy version it was begun with."""
+    """Play one episode of a run again, alone and in this process, with the policies it was played by."""
     settings, simulation = run.settings, run.simulation()
     rows = {int(row["episode"]): row for row in runs.rows(run.folder / "episodes.csv")}
     recorded = rows.get(index)
-    version = int(recorded["version"]) if recorded else _begun_with(run, settings, index)
-    exploration = explore(settings.seed, index, simulation.horizon, simulation.spaces()[1].shape[0])
-    episode = simulation.play(run.version(version), [exploration])[0]
+    asks = _played_by(run, settings, index, recorded, simulation.horizon)
+    versions, which = np.unique(asks, return_inverse=True)
+    exploration = explore(settings.seed, index, simulation.horizon, simulation.spaces()[1].shape[0], which)
+    episode = simulation.play([run.version(int(version)) for version in versions], [exploration])[0]
     numbers = _played(simulation, episode)
     same = (
         all(recorded[name] == str(value) for name, value in numbers.items() if name in recorded) if recorded else None
@@ -341,16 +344,18 @@ def replay(run: Run, index: int) -> Replay:
     return Replay(episode, numbers, recorded, same)
 
 
-def _begun_with(run: Run, settings: Settings, index: int) -> int:
-    """Return the version that an episode which never came was begun with."""
+def _played_by(run: Run, settings: Settings, index: int, recorded: dict[str, str] | None, horizon: int) -> np.ndarray:
+    """Return the versions (asks,) an episode was, or would have been, played by, one after the other."""
     if not 0 <= index < settings.learning.episodes:
         raise ValueError(f"episode: got {index}, wanted one of the run's {settings.learning.episodes}")
-    planned = plan(settings, run.layout)
+    planned = plan(settings, run.layout, horizon)
     if planned is not None:
-        return int(planned.version[index])
+        return planned.version[index]
+    if recorded is not None:
+        return np.array([int(recorded["version"])])
     for row in reversed(runs.rows(run.folder / "failures.csv")):
         if str(index) in row["episodes"].split():
-            return int(row["version"])
+            return np.array([int(row["version"])])
     raise ValueError(f"episode: got {index}, which was not begun; wanted one of episodes.csv or failures.csv")
 
 
