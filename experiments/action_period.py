@@ -13,7 +13,7 @@ noise held for a whole period adds drag.
 import learning_curves
 import trainings
 from experiment import Setup
-from trainings import CASE
+from trainings import CASE, Training
 
 EPISODES = 300
 ACTIONS = {3: 1322, 66: 60, 661: 6}
@@ -21,12 +21,16 @@ ACTIONS = {3: 1322, 66: 60, 661: 6}
 SHARES = {3: "0.45 %", 66: "10 %", 661: "100 %"}
 
 
-def run(setup: Setup) -> None:
+def wanted(setup: Setup) -> dict[str, list[Training]]:
     changes = {
         f"{steps} steps": {"action_interval": round(steps * CASE.time_step, 10), "actions_per_episode": actions}
         for steps, actions in ACTIONS.items()
     }
-    sets = trainings.seeded(setup, "action-period", EPISODES, changes)
+    return trainings.seeded(setup, "action-period", EPISODES, changes)
+
+
+def run(setup: Setup) -> None:
+    sets = trainings.trained(setup, wanted(setup))
     learning_curves.write_tables(setup, "action-period", sets)
 
 

@@ -21,7 +21,7 @@ import synced
 import trainings
 import vertex_maps
 from experiment import Setup, read, rounded, where, write
-from trainings import CASE
+from trainings import CASE, Training
 
 from manywake.learn.rollout import JetFlows
 from manywake.learn.runs import Run
@@ -37,11 +37,15 @@ LABELS = {
 }
 
 
-def run(setup: Setup) -> None:
-    penalised = synced.trained(setup)[0]
+def wanted(setup: Setup) -> dict[str, list[Training]]:
     strong = CASE if setup.miniature else STRONG
     chosen = trainings.settings(setup, 0, EPISODES, chosen=strong, reward="drag-offset", max_flow_rate=STRONG_RATE)
-    (biased,) = trainings.trained(setup, "cheating", [("no penalty", chosen)])
+    return {"penalty": synced.group(setup)["20"][:1], "no penalty": [Training("cheating", "no penalty", chosen)]}
+
+
+def run(setup: Setup) -> None:
+    sets = trainings.trained(setup, wanted(setup))
+    (penalised,), (biased,) = sets["penalty"], sets["no penalty"]
     maps, numbers = {}, []
     for name, run, controlled in (
         ("none", penalised, False),

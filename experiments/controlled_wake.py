@@ -20,6 +20,7 @@ import policies_in_lanes
 import trainings
 from experiment import Setup, Table, read, rounded, spread, where, write
 from learning_curves import COLOURS
+from trainings import Training
 
 from manywake import plots
 from manywake.flow import case, mesh, operators, sensors, validate
@@ -38,9 +39,13 @@ HIGHEST = 1.0
 """Strouhal number up to which spectra are kept."""
 
 
-def run(setup: Setup) -> None:
+def wanted(setup: Setup) -> dict[str, list[Training]]:
     how = {"protocol": "default", "chosen": CASE}
-    group = trainings.seeded(setup, "controlled-wake", EPISODES, {"default": how})["default"]
+    return trainings.seeded(setup, "controlled-wake", EPISODES, {"default": how})
+
+
+def run(setup: Setup) -> None:
+    group = trainings.trained(setup, wanted(setup))["default"]
     coarse = trainings.simulation(group[0])
     flows = {"uncontrolled": None} | {f"seed {run.settings.seed}": run.policy() for run in group}
     numbers, series, spectra = [], [], []

@@ -29,6 +29,7 @@ import synced
 import trainings
 from experiment import Setup, Table, names, read, spread, where, write
 from learning_curves import COLOURS
+from trainings import Training
 
 from manywake.learn import schedule
 from manywake.learn.settings import PAPER_LEARNING, Collection
@@ -42,12 +43,18 @@ def environments(setup: Setup) -> tuple[int, ...]:
     return (6, 12) if setup.miniature else (32, 60)
 
 
-def run(setup: Setup) -> None:
+def wanted(setup: Setup) -> dict[str, list[Training]]:
+    """Return the trainings, those of `synced` among them."""
     ways = {n: replace(MODEL, envs=n, newest_policy="action") for n in environments(setup)}
     unsynced = {f"unsynced {n}": {"collection": how, "ratio_to": "current"} for n, how in ways.items()}
     most = max(ways)
     unsynced[f"unsynced {most}, policy kept"] = {"collection": replace(MODEL, envs=most)}
-    sets = {"synced 20": synced.trained(setup)} | trainings.seeded(setup, "overparallel", EPISODES, unsynced)
+    synced_20 = {f"synced {name}": group for name, group in synced.group(setup).items()}
+    return synced_20 | trainings.seeded(setup, "overparallel", EPISODES, unsynced)
+
+
+def run(setup: Setup) -> None:
+    sets = trainings.trained(setup, wanted(setup))
     learning_curves.write_tables(setup, "overparallel", sets)
     table = read(setup.csv("overparallel"))
     write(setup.csv("overparallel"), _on_the_virtual_clock(setup, table))

@@ -14,19 +14,22 @@ import learning_curves
 import synced
 import trainings
 from experiment import Setup
+from trainings import Training
 
 EPISODES = 300
 ALPHAS = (0.05, 0.1, 0.2)
 
 
-def run(setup: Setup) -> None:
+def wanted(setup: Setup) -> dict[str, list[Training]]:
+    """Return the trainings; those by the protocol's own law are synced's."""
     laws = {f"alpha {alpha:g}": {"control": "exponential", "alpha": alpha} for alpha in ALPHAS}
     laws["linear"] = {"control": "linear"}
-    # the law of the protocol itself is synced's
     shared = "linear" if setup.protocol == "code" else "alpha 0.1"
-    others = {law: changes for law, changes in laws.items() if law != shared}
-    sets = {shared: synced.trained(setup)} | trainings.seeded(setup, "smoothing", EPISODES, others)
-    learning_curves.write_tables(setup, "smoothing", {law: sets[law] for law in laws})
+    return trainings.seeded(setup, "smoothing", EPISODES, laws) | {shared: synced.group(setup)["20"]}
+
+
+def run(setup: Setup) -> None:
+    learning_curves.write_tables(setup, "smoothing", trainings.trained(setup, wanted(setup)))
 
 
 def plot(setup: Setup) -> None:

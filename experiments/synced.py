@@ -21,6 +21,7 @@ import numpy as np
 import trainings
 from experiment import Setup, Table, names, read, rounded, where, write
 from learning_curves import COLOURS
+from trainings import Training
 
 from manywake.flow import disk
 from manywake.learn import runs, schedule
@@ -35,16 +36,25 @@ PAPER_SHARE = 0.003
 """The learner's share of the paper's serial training."""
 
 
-def trained(setup: Setup) -> list[Run]:
-    """Return the runs with as many environments as an update has episodes, a seed each."""
-    return trainings.seeded(setup, "synced", EPISODES, {"20": {}})["20"]
+def group(setup: Setup) -> dict[str, list[Training]]:
+    """Return the trainings with as many environments as an update has episodes, a seed each."""
+    return trainings.seeded(setup, "synced", EPISODES, {"20": {}})
+
+
+def wanted(setup: Setup) -> dict[str, list[Training]]:
+    """Return the trainings: those, and seed 0 anew with each of the other N, which takes longest."""
+    anew = [
+        Training("synced", str(n), trainings.settings(setup, 0, EPISODES, collection=Collection(envs=n)))
+        for n in others(setup)
+    ]
+    return {"anew": anew} | group(setup)
 
 
 def timed(setup: Setup, environments: int) -> Run:
     """Return the first updates of seed 0, alone on the machine; 1 and 2 environments have a core and one lane each."""
     how = Collection() if environments == most(setup) else Collection(envs=environments, lanes=1)
     chosen = trainings.settings(setup, 0, TIMED_UPDATES * PAPER_LEARNING.update_period, collection=how)
-    return trainings.timed(setup, "synced", f"timed {environments}", chosen)
+    return trainings.timed(setup, Training("synced", f"timed {environments}", chosen))
 
 
 def measure(setup: Setup) -> list[Run]:
@@ -59,14 +69,10 @@ def others(setup: Setup) -> tuple[int, ...]:
 
 
 def run(setup: Setup) -> None:
-    anew = [(str(n), trainings.settings(setup, 0, EPISODES, collection=Collection(envs=n))) for n in others(setup)]
     alone = measure(setup)
-    # one list of all, so that no core is idle while the slowest, N = 1, is at it
-    main = [("20", trainings.settings(setup, seed, EPISODES)) for seed in trainings.seeds(setup)]
-    made = trainings.trained(setup, "synced", [*anew, *main])
-    again, group = made[: len(anew)], made[len(anew) :]
-    learning_curves.write_tables(setup, "synced", {"N = 20": group})
-    proof = [_compared(group[0], run) for run in [*again, *alone]]
+    sets = trainings.trained(setup, wanted(setup))
+    learning_curves.write_tables(setup, "synced", {"N = 20": sets["20"]})
+    proof = [_compared(sets["20"][0], run) for run in [*sets["anew"], *alone]]
     write(setup.csv("synced-proof"), proof)
     different = [row["environments"] for row in proof if not row["identical"]]
     if different:

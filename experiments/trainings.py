@@ -5,8 +5,7 @@ from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import closing
-from dataclasses import asdict, replace
-from pathlib import Path
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from experiment import Setup
@@ -56,57 +55,81 @@ def settings(
     return Settings(chosen, task, learning, collection, seed)
 
 
-def seeded(setup: Setup, figure: str, episodes: int, sets: dict[str, dict[str, Any]]) -> dict[str, list[Run]]:
-    """Return the runs of series of trainings, one for each seed; a series is what its settings change."""
-    wanted = [
-        (series, settings(setup, seed, episodes, **changes))
+@dataclass(frozen=True)
+class Training:
+    """A training by the folder it is kept in: runs/FIGURE/NAME-sSEED."""
+
+    figure: str
+    name: str
+    settings: Settings
+
+    def run(self, setup: Setup) -> Run:
+        """Return its run; ValueError when its folder holds another training."""
+        name = f"{self.name.replace(' ', '-')}-s{self.settings.seed}"
+        run = Run(setup.runs / f"{self.figure}{setup.tail}" / name)
+        if (run.folder / "settings.json").exists() and run.settings != self.settings:
+            raise ValueError(
+                f"figure: {run.folder} was made with other settings; delete it, or begin anew with --fresh"
+            )
+        return run
+
+    def __str__(self) -> str:
+        return f"{self.figure} {self.name}, seed {self.settings.seed}"
+
+
+def seeded(setup: Setup, figure: str, episodes: int, sets: dict[str, dict[str, Any]]) -> dict[str, list[Training]]:
+    """Return series of trainings, one for each seed; a series is what its settings change."""
+    return {
+        series: [Training(figure, series, settings(setup, seed, episodes, **changes)) for seed in seeds(setup)]
         for series, changes in sets.items()
-        for seed in seeds(setup)
-    ]
-    made = iter(trained(setup, figure, wanted))
-    return {series: [next(made) for _ in seeds(setup)] for series in sets}
+    }
 
 
-def trained(setup: Setup, figure: str, wanted: Sequence[tuple[str, Settings]]) -> list[Run]:
-    """Return the runs of trainings, by name and settings, in the order asked for: kept, brought to their end, or new.
+def trained(setup: Setup, sets: dict[str, list[Training]]) -> dict[str, list[Run]]:
+    """Return the runs of series of trainings: kept, brought to their end, or new."""
+    train_all(setup, [training for group in sets.values() for training in group])
+    return {series: [training.run(setup) for training in group] for series, group in sets.items()}
 
-    What is not there yet is trained side by side, a core each (two trainings of one core take a quarter less time than
-    one after the other on two, whose learner has but one thread); so name the longest first.
+
+def train_all(setup: Setup, wanted: Sequence[Training]) -> None:
+    """Train what is not trained yet, side by side, a core each.
+
+    Two trainings of one core take a little less time than one after the other on two, as the learner has one thread. No
+    core is idle before the last of them begins; so name the longest first.
     """
-    group = [Run(_folder(setup, figure, name, chosen)) for name, chosen in wanted]
-    waiting: deque[tuple[Run, Settings]] = deque()
-    for run, (_, chosen) in zip(group, wanted, strict=True):
-        if _done(run, chosen):
-            setup.progress(_label(run), 1.0)
+    waiting: deque[tuple[Training, Run]] = deque()
+    for training in dict.fromkeys(wanted):
+        run = training.run(setup)
+        if _done(run):
+            setup.progress(str(training), 1.0)
         else:
-            baseline.get(chosen.case, setup.progress)
-            waiting.append((run, chosen))
+            baseline.get(training.settings.case, setup.progress)
+            waiting.append((training, run))
     if not waiting:
-        return group
+        return
     cores = collect.usable_cores()
     engine: Engine = Threads(1) if setup.miniature else Processes(min(cores, len(waiting)))
-    flying: dict[Future, tuple[Run, Settings]] = {}
+    flying: dict[Future, tuple[Training, Run]] = {}
     with closing(engine):
         share = cores // engine.slots
         while waiting or flying:
             while waiting and len(flying) < engine.slots:
-                run, chosen = waiting.popleft()
-                flying[engine.submit(_train_on, run, chosen, share)] = run, chosen
+                training, run = waiting.popleft()
+                flying[engine.submit(_train_on, run, training.settings, share)] = training, run
             done, _ = wait(flying, timeout=1.0, return_when=FIRST_COMPLETED)
-            for run, chosen in flying.values():
+            for training, run in flying.values():
+                learning = training.settings.learning
                 updates = len(runs.rows(run.folder / "updates.csv"))
-                episodes = updates * chosen.learning.update_period
-                setup.progress(_label(run), min(episodes / chosen.learning.episodes, 1.0))
+                setup.progress(str(training), min(updates * learning.update_period / learning.episodes, 1.0))
             for future in done:
                 del flying[future]
                 future.result()
-    return group
 
 
-def timed(setup: Setup, figure: str, name: str, chosen: Settings) -> Run:
+def timed(setup: Setup, training: Training) -> Run:
     """Return a training's run made with nothing beside it and a process a worker, for the times in its tables."""
-    run = Run(_folder(setup, figure, name, chosen))
-    if not _done(run, chosen):
+    run, chosen = training.run(setup), training.settings
+    if not _done(run):
         baseline.get(chosen.case, setup.progress)
         how, done = chosen.collection, 0
         layout = collect.layout(how.envs, how.workers, how.lanes, chosen.learning.update_period)
@@ -114,29 +137,17 @@ def timed(setup: Setup, figure: str, name: str, chosen: Settings) -> Run:
         def show(episodes, shares, failures) -> None:
             nonlocal done
             done += len(episodes)
-            setup.progress(_label(run), min(done / chosen.learning.episodes, 1.0))
+            setup.progress(str(training), min(done / chosen.learning.episodes, 1.0))
 
         # one that was stopped has the stop in its times
         shutil.rmtree(run.folder, ignore_errors=True)
         with closing(Processes(layout.workers)) as engine:
             _train(run, chosen, engine, layout, show)
-    setup.progress(_label(run), 1.0)
+    setup.progress(str(training), 1.0)
     return run
 
 
-def _folder(setup: Setup, figure: str, name: str, chosen: Settings) -> Path:
-    return setup.runs / f"{figure}{setup.tail}" / f"{name.replace(' ', '-')}-s{chosen.seed}"
-
-
-def _label(run: Run) -> str:
-    name, seed = run.folder.name.rsplit("-s", 1)
-    return f"{run.folder.parent.name} {name}, seed {seed}"
-
-
-def _done(run: Run, chosen: Settings) -> bool:
-    """Return whether a training has come to its end; ValueError when it was another one."""
-    if (run.folder / "settings.json").exists() and run.settings != chosen:
-        raise ValueError(f"figure: {run.folder} was made with other settings; delete it, or begin anew with --fresh")
+def _done(run: Run) -> bool:
     return (run.folder / "training.json").exists()
 
 

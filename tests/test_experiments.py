@@ -86,7 +86,12 @@ def test_a_training_that_is_done_is_kept_and_one_that_was_stopped_goes_on_to_the
     trainings, curves = script("trainings"), script("learning_curves")
     chosen = trainings.settings(setup, 7, 400)
     setup = replace(setup, miniature=False)  # side by side, in processes
-    (whole,) = trainings.trained(setup, "kept", [("whole", chosen)])
+    whole, stopped, beside = (
+        trainings.Training("kept", name, given)
+        for name, given in (("whole", chosen), ("stopped", chosen), ("beside", replace(chosen, seed=8)))
+    )
+    trainings.train_all(setup, [whole])
+    whole = whole.run(setup)
     before = (whole.folder / "episodes.csv").read_bytes()
 
     class Stop(Exception):
@@ -96,14 +101,13 @@ def test_a_training_that_is_done_is_kept_and_one_that_was_stopped_goes_on_to_the
         if episodes[0].index >= 4:
             raise Stop
 
-    run = runs.Run(trainings._folder(setup, "kept", "stopped", chosen))
+    run = stopped.run(setup)
     with closing(Threads(1)) as engine, pytest.raises(Stop):
         train.train(run.folder, chosen, engine, collect.layout(4, 1, 4, 4), stop)
     assert len(runs.rows(run.folder / "updates.csv")) == 1
-    other = trainings.settings(replace(setup, miniature=True), 8, 400)
-    stopped, beside = trainings.trained(setup, "kept", [("stopped", chosen), ("beside", other)])
-    assert beside.settings.seed == 8 and len(runs.rows(beside.folder / "episodes.csv")) == 12
-    rows = [curves._episodes("", run, 3) for run in (whole, stopped)]
+    trainings.train_all(setup, [stopped, beside])
+    assert len(runs.rows(beside.run(setup).folder / "episodes.csv")) == 12
+    rows = [curves._episodes("", each, 3) for each in (whole, run)]
     without = [[{k: v for k, v in row.items() if k != "clock_s"} for row in table] for table in rows]
     assert without[0] == without[1]
 
@@ -111,10 +115,10 @@ def test_a_training_that_is_done_is_kept_and_one_that_was_stopped_goes_on_to_the
         raise AssertionError("trained again")
 
     monkeypatch.setattr(trainings, "_train_on", fail)
-    trainings.trained(setup, "kept", [("whole", chosen)])
+    trainings.train_all(setup, [trainings.Training("kept", "whole", chosen)])
     assert (whole.folder / "episodes.csv").read_bytes() == before
     with pytest.raises(ValueError, match="made with other settings; .* --fresh"):
-        trainings.trained(setup, "kept", [("whole", replace(other, seed=7, task=Task()))])
+        trainings.train_all(setup, [trainings.Training("kept", "whole", replace(chosen, task=Task()))])
 
 
 def test_a_rerun_that_differs_in_one_digit_fails_loudly(setup, tmp_path):

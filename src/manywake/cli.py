@@ -448,14 +448,18 @@ class Figure:
         if self.protocol == "code" and self.name not in (*BY_PROTOCOL, "all"):
             raise ValueError(f"protocol: {self.name} does not depend on it; wanted one of {', '.join(BY_PROTOCOL)}")
         every = get_args(FigureName) if self.protocol == "paper" else BY_PROTOCOL
+        names = every if self.name == "all" else (self.name,)
+        scripts = {name: _script("figure", "experiments", name.replace("-", "_")) for name in names}
         found = {}
         bar = _Bar()
         with bar.progress:
             setup = Setup(runs, results, figures, self.protocol, self.miniature, bar)
-            for name in every if self.name == "all" else (self.name,):
-                script = _script("figure", "experiments", name.replace("-", "_"))
-                if self.fresh and not self.replot:
+            if self.fresh and not self.replot:
+                for name in names:
                     shutil.rmtree(runs / f"{name}{setup.tail}", ignore_errors=True)
+            if self.name == "all" and not self.replot:
+                _train_all(setup, scripts.values())
+            for name, script in scripts.items():
                 started = time.perf_counter()
                 if not self.replot:
                     script.run(setup)
@@ -468,6 +472,15 @@ class Figure:
         else:
             Console().print_json(json.dumps(found))
         return 0
+
+
+def _train_all(setup, scripts) -> None:
+    """Train what all experiments ask for, together, so that no core waits for the end of one of them."""
+    started = time.perf_counter()
+    sets = [script.wanted(setup) for script in scripts if hasattr(script, "wanted")]
+    wanted = [training for series in sets for group in series.values() for training in group]
+    _script("figure", "experiments", "trainings").train_all(setup, wanted)
+    console.print(f"all trainings: {(time.perf_counter() - started) / 60:.1f} min")
 
 
 def _script(command: str, folder: str, name: str):

@@ -18,8 +18,12 @@ from numba.core.imputils import impl_ret_untracked
 from numba.extending import intrinsic, models, register_model
 from numba.np.arrayobj import make_array
 
-WIDTHS = (8, 1)
-"""Lane counts the kernels are compiled for: 8 carries the batch (a row of singles is one AVX register), 1 one flow."""
+WIDTHS = (8, 4, 1)
+"""Lane counts the kernels are compiled for, each when it is first used.
+
+8 carries the batch (a row of singles is one AVX register), 1 one flow, and 4 the rest of a batch of 20 in two thirds of
+the time that 8 take.
+"""
 
 _CACHE_LINE = 64
 
