@@ -45,7 +45,7 @@ def _episodes(series: str, run: Run, updates: int) -> list[dict[str, Any]]:
                 "series": series,
                 "seed": run.settings.seed,
                 "arrived": k + 1,
-                "version": int(row["version"]),
+                "update": int(row["update"]),
                 "staleness": float(row["staleness"]),
                 "c_d": float(row["c_d_second_half"]),
                 "c_l": float(row["c_l_second_half"]),
@@ -161,7 +161,8 @@ def summary(setup: Setup, name: str) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for series in names(table):
         mine, last = where(table, series=series), where(final, series=series)
-        first = {key: column[mine["version"] == 0] for key, column in mine.items()}
+        untrained = mine["staleness"] == mine["update"]  # all of it by version 0
+        first = {key: column[untrained] for key, column in mine.items()}
         drag = levels(mine)[series]
         found[series] = {
             "exploring_c_d_first": float(np.nanmean(first["c_d"])),

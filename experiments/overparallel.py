@@ -12,10 +12,11 @@ does by default. Times are in episodes of one environment, drawn in seconds of a
 error of the difference; Welch's p is given beside it.
 Command: manywake figure overparallel
 Cost: 9 trainings beside those of `synced`, 12 min.
-Expected: plateaus of 60 episodes, the first of 120; speed-up of 300 episodes 58 (they are 5 rounds of 60). When used,
-the last actions of 60 environments' episodes are 0, 1 and 2 updates old, as in the paper, and 3, 4 and 5 where
-an episode keeps its policy, since it begins before the updates of its round are made. The share of samples clipped
-before an update begins shows how far off-policy it is.
+Expected: plateaus of 60 episodes, and a first one of 120 where the policy is kept; speed-up of 300 episodes 58 (they
+are 5 rounds of 60). When used, the last actions of 60 environments' episodes are 0, 1 and 2 updates old, as in the
+paper, and 3, 4 and 5 where an episode keeps its policy, since it begins before the updates of its round are made. The
+share of samples clipped before an update begins shows how far off-policy it is. (Synced 20 has its ratio to the policy
+that drew the action; that differs from the current one by the update of the observations' normaliser alone.)
 """
 
 from dataclasses import replace
@@ -67,7 +68,7 @@ def _on_the_virtual_clock(setup: Setup, table: Table) -> list[dict[str, Any]]:
     rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
     plans: dict[int, schedule.Plan] = {}
     for row in rows:
-        for name in ("seed", "arrived", "version"):
+        for name in ("seed", "arrived", "update"):
             row[name] = int(row[name])
         if row["series"] == "synced 20":
             plan = plans.setdefault(row["seed"], _plan(setup, row["seed"], 20, False, len(rows)))

@@ -69,7 +69,7 @@ def test_unsynced_on_the_real_clock_uses_every_episode_once_with_the_version_it_
     model.learn(LEARNING.episodes * HORIZON)
     assert sorted(e.index for _, episodes in batches for e in episodes) == list(range(40))
     for version, episodes in batches:
-        assert all(set(episode.versions) <= set(range(version + 1)) for episode in episodes)
+        assert all(episode.versions.max() <= version and not np.ptp(episode.versions) for episode in episodes)
         assert [e.index for e in episodes] == sorted(e.index for e in episodes)
     assert taken.pending() == []
 
@@ -88,6 +88,30 @@ def test_a_fault_costs_time_and_no_bit(tmp_path, serial, fault):
     assert found == serial
     assert {failure.kind for failure in lost} == {{"raise": "raised", "kill": "died", "hang": "timed out"}[fault]}
     assert all(index in failure.episodes for index, failure in zip(faulty, lost, strict=True))
+
+
+def test_a_block_of_several_policies_that_is_lost_is_played_again_by_the_same(tmp_path, processes):
+    plan = schedule.unsynced(SECONDS, 25, 10, 2.0, HORIZON)
+    shape = Layout(25, 2, 8)
+    reference = digest(layout=shape, plan=plan)
+    (index,) = np.flatnonzero(np.ptp(plan.version, axis=1) > 0)[:1].tolist()
+    lost = []
+    toy = Toy(horizon=HORIZON, faults=((index, "kill"),), folder=tmp_path)
+    assert digest(toy, engine=processes, layout=shape, plan=plan, failed=lost.append) == reference
+    assert [index in failure.episodes for failure in lost] == [True]
+    assert lost[0].version == min(plan.version[list(lost[0].episodes), 0])
+
+
+def test_policies_that_play_nothing_more_are_forgotten():
+    plan = schedule.unsynced(SECONDS, 25, 10, 2.0, HORIZON)
+    taken = collector(Toy(horizon=HORIZON), learning=LEARNING, layout=Layout(25, 1, 8), plan=plan)
+    model, held = ppo.build(LEARNING, taken), []
+    model.hooks.collected = lambda model, episodes: held.append(sorted(taken._policies))
+    model.learn(LEARNING.episodes * HORIZON)
+    assert [versions[-1] for versions in held] == [0, 1, 2, 3]
+    for newest, versions in enumerate(held):
+        later = plan.version[plan.version[:, -1] >= newest]
+        assert versions == list(range(min(later.min(initial=newest), newest), newest + 1))
 
 
 @pytest.mark.parametrize("fault", ["raise", "kill"])

@@ -23,7 +23,7 @@ from manywake.learn.rollout import JetFlows
 from .conftest import TINY, tiny_mesh
 
 FOLDER = Path(__file__).parents[1] / "experiments"
-EPISODES = {"series", "seed", "arrived", "version", "staleness", "c_d", "c_l", "reward", "jet_rms"}
+EPISODES = {"series", "seed", "arrived", "update", "staleness", "c_d", "c_l", "reward", "jet_rms"}
 UPDATES = {"series", "seed", "update", "staleness_max", "clipped_before", "burst", "learner_s", "wall_s"}
 TABLES = {
     "configuration": {"configuration": {"x", "y", "pressure"}},
@@ -119,6 +119,22 @@ def test_a_training_that_is_done_is_kept_and_one_that_was_stopped_goes_on_to_the
     assert (whole.folder / "episodes.csv").read_bytes() == before
     with pytest.raises(ValueError, match="made with other settings; .* --fresh"):
         trainings.train_all(setup, [trainings.Training("kept", "whole", replace(chosen, task=Task()))])
+
+
+def test_all_trainings_of_all_experiments_are_made_in_one_go_and_each_once(setup):
+    scripts = [script(name) for name in TABLES]
+    cli._train_all(setup, scripts)
+    sets = [series for each in scripts if hasattr(each, "wanted") for series in each.wanted(setup).values()]
+    wanted = {training for series in sets for training in series}
+    assert len(wanted) < sum(map(len, sets))  # they share some
+    assert all((training.run(setup).folder / "training.json").exists() for training in wanted)
+
+
+def test_the_proof_names_the_longest_training_of_each_n(setup):
+    synced = script("synced")
+    synced.run(setup)
+    found = synced.summary(setup)["episodes_compared"]
+    assert found == {"1": 12, "2": 12, "4": 12}
 
 
 def test_a_rerun_that_differs_in_one_digit_fails_loudly(setup, tmp_path):

@@ -131,7 +131,11 @@ def test_a_state_survives_writing_and_reading(ops, starts):
 
 @pytest.mark.parametrize("flows", range(1, 33))
 def test_blocks_carry_all_flows(flows):
-    assert 0 <= sum(widths(flows)) - flows < 8
+    assert 0 <= sum(widths(flows)) - flows < 4
+
+
+def test_the_rest_of_a_batch_is_carried_by_as_few_lanes_as_will_do():
+    assert [widths(flows) for flows in (1, 4, 5, 20, 21)] == [[1], [4], [8], [8, 8, 4], [8, 8, 8]]
 
 
 # ---- the step is the one of docs/numerics.md

@@ -55,16 +55,21 @@ def _progress(*columns: str) -> Progress:
 
 
 class _Bar:
-    """Shows progress(what, share) as a bar per kind of work."""
+    """Shows progress(what, share) as a bar for each work under way, and a line for each that was done meanwhile."""
 
     def __init__(self) -> None:
         self.progress = Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console)
-        self.tasks: dict[str, TaskID] = {}
+        self.tasks: dict[str, tuple[TaskID, float]] = {}
 
     def __call__(self, what: str, share: float) -> None:
-        if what not in self.tasks:
-            self.tasks[what] = self.progress.add_task(what, total=1.0)
-        self.progress.update(self.tasks[what], completed=share)
+        if share < 1.0:
+            if what not in self.tasks:
+                self.tasks[what] = self.progress.add_task(what, total=1.0), time.perf_counter()
+            self.progress.update(self.tasks[what][0], completed=share)
+        elif what in self.tasks:
+            task, begun = self.tasks.pop(what)
+            self.progress.remove_task(task)
+            console.print(f"{what}: {time.perf_counter() - begun:.0f} s", highlight=False)
 
 
 def _baseline(chosen: case.Case) -> Baseline:
@@ -396,7 +401,7 @@ class ReplayCommand:
         result = train.replay(runs.Run(self.run_folder), self.episode)
         described = {
             "episode": self.episode,
-            "version": int(result.episode.versions[0]),
+            "versions": sorted(set(result.episode.versions.tolist())),
             **result.numbers,
             "same_as_recorded": result.same,
         }

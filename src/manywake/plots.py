@@ -30,8 +30,7 @@ plt.rcParams.update(
 def learning_curve(episodes: dict[str, np.ndarray], base: Baseline, path: Path) -> None:
     """Draw C_D and C_L of the exploring episodes against episodes and wall time; `episodes` as in episodes.csv."""
     figure, axes = plt.subplots(2, 2, figsize=(10, 5.6), sharey="row")
-    versions = np.unique(episodes["version"])
-    batch = [episodes["version"] == version for version in versions]
+    batch = [episodes["update"] == update for update in np.unique(episodes["update"])]
     for column, (x, label) in enumerate(
         ((episodes["episode"] + 1, "episodes"), (episodes["wall_s"] / 60, "wall time [min]"))
     ):

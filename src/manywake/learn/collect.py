@@ -312,7 +312,7 @@ class Collector:
         if len(block.indices) == 1:
             index = block.indices[0]
             attempt = self._attempts[index] = self._attempts.get(index, 0) + 1
-        self.failed(Failure(block.indices, block.versions[0], kind, cause, attempt))
+        self.failed(Failure(block.indices, min(map(self._begun.__getitem__, block.indices)), kind, cause, attempt))
         if attempt >= MOST_FAILURES:
             raise EpisodeFailed(block.indices[0], self.run_seed, cause)
         self._queue.extendleft(replace(block, indices=(index,)) for index in reversed(block.indices))

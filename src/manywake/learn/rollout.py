@@ -69,7 +69,7 @@ def explore(run_seed: int, index: int, horizon: int, actions: int, asks: ArrayLi
     sequence = np.random.SeedSequence(run_seed, spawn_key=(index,))
     noise = np.random.default_rng(sequence).standard_normal((horizon, actions))
     asks = np.asarray(asks)
-    which = asks[np.arange(horizon) * len(asks) // horizon]
+    which = asks[np.arange(horizon) * len(asks) // horizon].astype(np.int16)
     return Exploration(index, int(sequence.generate_state(1)[0]), noise, which)
 
 

@@ -28,7 +28,7 @@ class Learning:
     """Entropy bonus. None by default: with the paper's 0.01 the exploration noise does not die down."""
     ratio_to: Literal["behaviour", "current"] = "behaviour"
     """What the clipped probability ratio is to: the policy that drew the action, or, as in the paper's Tensorforce, the
-    one about to be updated, however old the episode is. Synced they are the same."""
+    one about to be updated, however old the episode is. Synced they differ by the update of the normaliser alone."""
     vf_coef: float = 0.5
     max_grad_norm: float = 0.5
     log_std_init: float = -1.5

@@ -108,7 +108,7 @@ class Watch:
                     "episodes": (update + 1) * len(episodes),
                     "learning_rate": float(logged.get("train/learning_rate", np.nan)),
                     "staleness_mean": float(np.mean(staleness)),
-                    "staleness_max": max(staleness),
+                    "staleness_max": max(int(update - episode.versions[0]) for episode in episodes),
                     "clipped_before": model.clipped_before,
                     "clip_fraction": float(logged.get("train/clip_fraction", np.nan)),
                     "approx_kl": float(logged.get("train/approx_kl", np.nan)),
