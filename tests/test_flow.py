@@ -436,7 +436,7 @@ def test_shedding_finds_mean_peaks_and_period_of_a_known_signal():
     c_d = 3.2 + 0.03 * np.sin(4 * np.pi * t / 0.331 + 0.3)
     found = sensors.shedding(c_d, c_l, 5e-4)
     assert found.period == pytest.approx(0.331, rel=1e-5)
-    assert found.strouhal == pytest.approx(0.1 / 0.331, rel=1e-5)
+    assert found.strouhal(0.1) == pytest.approx(0.1 / 0.331, rel=1e-5)
     assert found.cd_mean == pytest.approx(3.2, abs=1e-4)
     assert (found.cd_max, found.cd_min) == pytest.approx((3.23, 3.17), abs=1e-4)
     assert found.cl_mean == pytest.approx(-0.02, abs=2e-3)

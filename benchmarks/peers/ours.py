@@ -45,7 +45,7 @@ def main(widths: list[int], blocks: int = 8) -> None:
             "statistics": {
                 "cd_mean": base.shedding.cd_mean,
                 "cl_max": base.shedding.cl_max,
-                "strouhal": base.shedding.strouhal,
+                "strouhal": base.shedding.strouhal(case.diameter),
                 "periods": base.shedding.periods,
             },
         }

@@ -144,7 +144,7 @@ class BaselineCommand:
             "check": "content matches its hash and its case",
             "triangles": len(base.mesh.triangles),
             **dataclasses.asdict(base.shedding),
-            "strouhal": base.shedding.strouhal,
+            "strouhal": base.shedding.strouhal(chosen.diameter),
             "cd_steady": base.cd_steady,
             "cl_steady": base.cl_steady,
         }

@@ -57,10 +57,9 @@ class Shedding:
     period: float
     periods: int
 
-    @property
-    def strouhal(self) -> float:
-        """St = D / (U-bar T), with D = 0.1."""
-        return 0.1 / self.period
+    def strouhal(self, diameter: float) -> float:
+        """St = D / (U-bar T) of a cylinder of the given diameter."""
+        return diameter / self.period
 
 
 def shedding(c_d: np.ndarray, c_l: np.ndarray, time_step: float) -> Shedding:

@@ -93,7 +93,7 @@ def run(case: Case = CASES["cylinder-jets"], progress: Progress | None = None, r
     record = forced(ops, base.start, report, "controlled flows")
     checks = [
         *dfg_steady(case, base, report),
-        *dfg_periodic(record[:, :, 0], case.time_step),
+        *dfg_periodic(record[:, :, 0], case),
         *base_flow(ops),
         *jets(ops),
         *forces(ops, base.start),
@@ -125,15 +125,15 @@ def dfg_steady(case: Case, base: Baseline, report: Progress) -> list[Check]:
     ]
 
 
-def dfg_periodic(record: np.ndarray, time_step: float) -> list[Check]:
+def dfg_periodic(record: np.ndarray, case: Case) -> list[Check]:
     """DFG 2D-2: statistics of the uncontrolled flow's C_D and C_L (steps, 2) over whole periods."""
-    ours = sensors.shedding(record[:, 0], record[:, 1], time_step)
+    ours = sensors.shedding(record[:, 0], record[:, 1], case.time_step)
     source = "FeatFlow Q2/P1 level 6, dt 1/1600"
     return [
         Check("DFG 2D-2 c_D max", ours.cd_max, 3.2274, 0.005, "relative", source),
         Check("DFG 2D-2 c_D mean", ours.cd_mean, 3.1959, 0.005, "relative", source),
         Check("DFG 2D-2 c_L max", ours.cl_max, 0.9866, 0.015, "relative", source),
-        Check("DFG 2D-2 St", ours.strouhal, 0.3018, 0.005, "relative", source),
+        Check("DFG 2D-2 St", ours.strouhal(case.diameter), 0.3018, 0.005, "relative", source),
     ]
 
 
