@@ -66,13 +66,12 @@ def run(setup: Setup) -> None:
 def _on_the_virtual_clock(setup: Setup, table: Table) -> list[dict[str, Any]]:
     """Return the rows with their times in episodes of one environment; synced ones get the model's."""
     rows = [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
-    plans: dict[int, schedule.Plan] = {}
+    times = {int(seed): _plan(setup, int(seed), 20, False, EPISODES).time for seed in names(table, "seed")}
     for row in rows:
         for name in ("seed", "arrived", "update"):
             row[name] = int(row[name])
         if row["series"] == "synced 20":
-            plan = plans.setdefault(row["seed"], _plan(setup, row["seed"], 20, False, len(rows)))
-            row["clock_s"] = plan.time[row["arrived"] - 1]
+            row["clock_s"] = times[row["seed"]][row["arrived"] - 1]
         row["clock"] = round(float(row.pop("clock_s")) / MODEL.episode_seconds, 4)
     return rows
 

@@ -173,7 +173,8 @@ def plot(setup: Setup) -> None:
         learning_curves.draw(axis, table, "arrived", y, COLOURS[0], "N = 20, 3 seeds")
         if y == "c_d":
             learning_curves.references(axis)
-            axis.legend(fontsize=9, title=_proved(proof), title_fontsize=8)
+            axis.set_ylim(top=axis.get_ylim()[1] + 0.15)  # room for the legend
+            axis.legend(fontsize=8, title=_proved(proof), title_fontsize=8, loc="upper right")
         learning_curves.finish(axis, "episodes", label)
         axis = figure.add_subplot(grid[row, 1])
         for colour, n in zip(COLOURS, (*others(setup), most(setup)), strict=False):
