@@ -36,6 +36,7 @@ TABLES = {
         "synced-proof": {"environments", "workers", "lanes", "episodes", "different", "policy", "identical"},
     },
     "overparallel": {"overparallel": EPISODES | {"clock"}, "overparallel-updates": UPDATES},
+    "staleness": {"staleness": EPISODES, "staleness-updates": UPDATES, "staleness-final": {"c_d"}},
     "action-period": {"action-period": EPISODES, "action-period-final": {"c_d"}},
     "smoothing": {"smoothing": EPISODES, "smoothing-final": {"c_d"}},
     "cheating": {

@@ -409,7 +409,7 @@ class ReplayCommand:
         return 1 if result.same is False else 0
 
 
-FigureName = Literal[
+PaperFigure = Literal[
     "configuration",
     "timescales",
     "synced",
@@ -421,16 +421,19 @@ FigureName = Literal[
     "controlled-wake",
 ]
 """The experiments, in an order in which those come first whose trainings others use."""
-BY_PROTOCOL = ("synced", "overparallel", "cheating", "action-period", "smoothing", "shares")
+FigureName = Literal[PaperFigure, "staleness"]
+"""The paper's, and ours."""
+BY_PROTOCOL = ("synced", "overparallel", "staleness", "cheating", "action-period", "smoothing", "shares")
 """Those that train by the paper's protocol, and so can by that of its released code."""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """Rerun an experiment of the paper: train what is not trained yet, write its tables, draw its figure from them.
+    """Rerun an experiment: train what is not trained yet, write its tables, draw its figure from them.
 
-    Trainings are kept in runs/figures, so that an interrupted command goes on where it was; tables go to
-    experiments/results, pictures to docs/figures. What each shows and costs: the head of experiments/NAME.py.
+    All are those of the paper's figures; staleness is ours. Trainings are kept in runs/figures, so that an interrupted
+    command goes on where it was; tables go to experiments/results, pictures to docs/figures. What each shows and costs:
+    the head of experiments/NAME.py.
     """
 
     name: Annotated[FigureName | Literal["all"], tyro.conf.Positional]
@@ -452,7 +455,7 @@ class Figure:
             results, figures = runs / "results", runs / "pictures"
         if self.protocol == "code" and self.name not in (*BY_PROTOCOL, "all"):
             raise ValueError(f"protocol: {self.name} does not depend on it; wanted one of {', '.join(BY_PROTOCOL)}")
-        every = get_args(FigureName) if self.protocol == "paper" else BY_PROTOCOL
+        every = [name for name in get_args(PaperFigure) if self.protocol == "paper" or name in BY_PROTOCOL]
         names = every if self.name == "all" else (self.name,)
         scripts = {name: _script("figure", "experiments", name.replace("-", "_")) for name in names}
         found = {}
