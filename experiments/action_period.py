@@ -5,9 +5,9 @@ phase; in between, at 10 %, the policy learns. Three runs each, episodes of equa
 Here: T_a = 3, 66, 661 steps of 5e-4, that is 1322, 60 and 6 actions an episode; 240 episodes. A minibatch is always a
 fifth of the batch, and the discount of an action is 0.99 whatever T_a is, as the paper says nothing else.
 Command: manywake figure action-period
-Cost: 9 trainings, 19 min (an update with 1322 actions takes 35 s of a core, with 60 or 6 14 s).
-Expected: at 10 % C_D falls as in `synced`; at 0.45 % and 100 % it stays near the uncontrolled 3.21, or above it, as
-noise held for a whole period adds drag.
+Cost: 9 trainings, 20 min (an update with 1322 actions takes 35 s of a core, with 60 or 6 14 s).
+Expected: at 10 % C_D falls as in `synced`; at 0.45 % it stays near the uncontrolled 3.21, and at 100 % where the noise
+alone has it, which is 3.15 when it is held for a whole period.
 """
 
 import learning_curves

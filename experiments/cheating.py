@@ -5,10 +5,10 @@ Here: speed averaged over about ten shedding periods, after one episode: without
 seed 0 (reward of eq. 1); with one trained on the drag alone and with jets of twice the flow rate. Those need half the
 time step: at 5e-4 steady blowing of 0.0175 blows the explicit scheme up, at 2.5e-4 0.025 does not.
 Command: manywake figure cheating
-Cost: 1 training of 240 episodes of twice the steps, 4 min, the start state at the smaller step, 1 min, and three flows
-of 10 000 to 20 000 steps.
-Expected: mean C_L near 0 but for the last, where it is of the order of 1 (steady blowing of -0.012 alone has C_D 2.92
-and C_L 3.7).
+Cost: 1 training of 240 episodes of twice the steps, 3 min on both cores, the start state at the smaller step, 1 min,
+and three flows of 10 000 to 20 000 steps.
+Expected: mean C_L near 0 but for the last, where it is of the order of 1 or 2 (steady blowing of -0.012 alone has C_D
+2.92 and C_L 3.7).
 """
 
 from dataclasses import replace

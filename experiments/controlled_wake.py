@@ -6,7 +6,7 @@ Here: three seeds with the default settings of `manywake train` (their policies 
 four episode lengths from the start state; statistics of the second half. The same policies on a mesh whose triangles
 are each cut into four, at half the time step: the loss of drag reduction is to be at most 0.5 points.
 Command: manywake figure controlled-wake
-Cost: 3 trainings of 256 episodes, 6 min; the long runs, 1 min, and those on the fine mesh, 7 min.
+Cost: 3 trainings of 256 episodes, 5 min; the long runs, 20 s, and those on the fine mesh, 4 min.
 Expected: 7.7 to 7.9 % less drag, 97 to 99 % of what shedding adds, no peak left at St 0.30, loss below 0.5 points.
 """
 

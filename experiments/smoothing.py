@@ -6,7 +6,7 @@ Here: eq. 2 with alpha = 0.05, 0.1, 0.2 and the linear ramp of the released code
 does not say which alphas it shows. alpha = 0.1 is `synced`, whose runs are used. With `--protocol code` the reward is
 the released code's, under all four laws.
 Command: manywake figure smoothing
-Cost: 9 trainings beside those of `synced`, 16 min.
+Cost: 9 trainings beside those of `synced`, 17 min.
 Expected: all four within the seeds' spread; after an action alpha = 0.05 is at 92 %, 0.1 at 99.5 % of it.
 """
 

@@ -7,7 +7,7 @@ is an error. Their times are derived (`schedule.synced`) from the duration of an
 for itself, measured with N = 1; N = 1 and 2 are compared with the wall clock. The times are of TIMED_UPDATES updates
 made with nothing beside them, in processes; the trainings of the curves run side by side, a core each.
 Command: manywake figure synced
-Cost: 4 min for the times, 18 for the trainings (N = 1, in one lane, is 14 of one core).
+Cost: 5 min for the times, 21 for the trainings (N = 1, in one lane, is 14 of one core, N = 2 eight).
 Expected: identical True everywhere; speed-up near N at the learner's 0.3 % that the paper had, and less with ours,
 whose episodes are so short that the learner counts: Amdahl's law, `shares`.
 """
