@@ -148,24 +148,25 @@ def test_closing_leaves_no_process_behind_even_amid_work():
         engine.submit(pid)
 
 
-def test_workers_end_when_their_trainer_is_killed(tmp_path):
+@pytest.mark.parametrize("tasks", [2, 0], ids=["busy", "idle"])
+def test_workers_end_when_their_trainer_is_killed_and_leave_nothing(tmp_path, tasks):
     script = tmp_path / "trainer.py"
     script.write_text(
         textwrap.dedent(
             """
-            import os, time
+            import os, sys, time
             from manywake.learn.engine import Processes
 
             if __name__ == "__main__":
                 engine = Processes(2)
                 shared = engine.share(1)
                 print(shared.path, *{engine.submit(os.getpid).result(60) for _ in range(8)}, flush=True)
-                futures = [engine.submit(time.sleep, 600) for _ in range(2)]
+                futures = [engine.submit(time.sleep, 600) for _ in range(int(sys.argv[1]))]
                 time.sleep(600)
             """
         )
     )
-    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True) as trainer:
+    with subprocess.Popen([sys.executable, script, str(tasks)], stdout=subprocess.PIPE, text=True) as trainer:
         try:
             path, *workers = trainer.stdout.readline().split()
             assert workers and os.path.exists(path)

@@ -14,7 +14,7 @@ import weakref
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import lru_cache, partial
-from multiprocessing import connection, forkserver
+from multiprocessing import connection, forkserver, util
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -235,9 +235,14 @@ def _end_with_parent(folder: str) -> None:
     assert parent is not None
     gone = parent.sentinel
 
+    def clean(seconds: float | None) -> None:
+        if connection.wait([gone], seconds):
+            shutil.rmtree(folder, ignore_errors=True)
+
     def watch() -> None:
-        connection.wait([gone])
-        shutil.rmtree(folder, ignore_errors=True)
+        clean(None)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+    # a worker without a task ends by itself when its pipe closes, perhaps before the thread has come that far
+    util.Finalize(None, clean, args=[1.0], exitpriority=0)
