@@ -100,9 +100,7 @@ def train_all(setup: Setup, wanted: Sequence[Training]) -> None:
     waiting: deque[tuple[Training, Run]] = deque()
     for training in dict.fromkeys(wanted):
         run = training.run(setup)
-        if _done(run):
-            setup.progress(str(training), 1.0)
-        else:
+        if not _done(run):
             baseline.get(training.settings.case, setup.progress)
             waiting.append((training, run))
     if not waiting:
@@ -143,7 +141,6 @@ def timed(setup: Setup, training: Training) -> Run:
         shutil.rmtree(run.folder, ignore_errors=True)
         with closing(Processes(layout.workers)) as engine:
             _train(run, chosen, engine, layout, show)
-    setup.progress(str(training), 1.0)
     return run
 
 
