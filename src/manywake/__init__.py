@@ -1,18 +1,31 @@
 """Manywake: deep reinforcement learning of active flow control, on many simulations at once.
 
-Reading order: flow (case, disk, simd, kernels, mesh, space, operators, steady, stepper, sensors, batch, baseline,
-exact, validate), env (task, env), learn (policy, rollout, external, schedule, engine, ray_engine, collect, settings,
-ppo, runs, train, evaluate), plots, cli.
-Importing this package registers `manywake/CylinderJets-v0` with Gymnasium.
+Rooms, each importing from those before it only: machine, case, flow, suite, env, plots, learn, api, cli.
+Importing this package registers `manywake/Flow-v0` and the shipped flows with Gymnasium. The words that a case file is
+written in are all here: `from manywake import *`.
 
 Axis letters: n velocity node, m pressure node, e element, q quadrature point, k local node, B flow, T action.
 """
 
+from manywake import case as _case
+from manywake.api import OpenRun, evaluate, load_run, resume, train
+from manywake.case import *  # noqa: F403
 from manywake.env import env as _env
-from manywake.env.env import CylinderJetsEnv, CylinderJetsVectorEnv
-from manywake.env.task import Task
-from manywake.flow.case import Case, Jet, Resolution
+from manywake.env.env import FlowEnv, FlowVectorEnv
+from manywake.learn.settings import Collection
+from manywake.suite.load import choose
 
 _env.register()
 
-__all__ = ["Case", "CylinderJetsEnv", "CylinderJetsVectorEnv", "Jet", "Resolution", "Task"]
+__all__ = [
+    *_case.__all__,
+    "Collection",
+    "FlowEnv",
+    "FlowVectorEnv",
+    "OpenRun",
+    "choose",
+    "evaluate",
+    "load_run",
+    "resume",
+    "train",
+]

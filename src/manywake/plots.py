@@ -13,12 +13,13 @@ import skfem
 from matplotlib.tri import Triangulation
 from scipy.sparse.linalg import spsolve
 
+from manywake.case.case import Case
+from manywake.case.geometry import outline
+from manywake.flow import baseline
 from manywake.flow.baseline import Baseline
 from manywake.flow.batch import FlowBatch, Start
-from manywake.flow.case import Case
-from manywake.flow.operators import Operators
 from manywake.flow.space import Space
-from manywake.learn.evaluate import Evaluation
+from manywake.flow.store import Flow
 
 UNCONTROLLED, CONTROLLED, REFERENCE = "#c44e52", "#2f6c9f", "#555555"
 
@@ -42,8 +43,8 @@ def learning_curve(episodes: dict[str, np.ndarray], base: Baseline, path: Path) 
             axis.set_ylabel(f"{title}, 2nd half of episode")
             axis.set_xlabel(label)
             axis.grid(alpha=0.25)
-        axes[0, column].axhline(base.shedding.cd_mean, color=UNCONTROLLED, lw=1, label="uncontrolled mean")
-        axes[0, column].axhline(base.cd_steady, color=REFERENCE, lw=1, ls="--", label="steady base flow")
+        axes[0, column].axhline(base.free["c_d"], color=UNCONTROLLED, lw=1, label="uncontrolled mean")
+        axes[0, column].axhline(base.steady["c_d"], color=REFERENCE, lw=1, ls="--", label="steady base flow")
         axes[1, column].axhline(0.0, color=REFERENCE, lw=1, ls="--")
     axes[0, 1].legend(loc="upper right", fontsize=9, frameon=True, framealpha=1.0, edgecolor="none")
     figure.suptitle("Learning curve (exploring policy)", x=0.01, ha="left")
@@ -66,57 +67,67 @@ def _draw_vorticity(axis, case: Case, space: Space, u: np.ndarray, limit: float)
     picture = axis.tripcolor(
         mesh, vorticity(space, u), shading="gouraud", cmap="RdBu_r", vmin=-limit, vmax=limit, rasterized=True
     )
-    axis.add_patch(plt.Circle((0, 0), case.radius, color="#888888", lw=0))
+    for body in case.bodies:
+        axis.add_patch(plt.Polygon(outline(body), color="#888888", lw=0))
     axis.set_aspect("equal")
-    axis.set_xlim(case.x_range[0], 1.6)
-    axis.set_ylim(*case.y_range)
+    (left, low), (right, high) = points.min(axis=0), points.max(axis=0)
+    back = max((outline(body)[:, 0].max() for body in case.bodies), default=left)
+    axis.set_xlim(left, min(right, back + 15.5 * case.scales.length))
+    axis.set_ylim(low, high)
     axis.set_xlabel("x")
     return picture
 
 
-def _one_period(ops: Operators, base: Baseline) -> np.ndarray:
-    """Return C_D and C_L (steps, 2) of the uncontrolled flow over one period from the start state."""
-    steps = int(np.ceil(base.shedding.period / ops.case.time_step)) + 1
-    return FlowBatch(ops, base.start, 1).advance(np.zeros((steps, len(ops.case.jets), 1)))[:, :, 0]
+def _one_period(flow: Flow) -> dict[str, np.ndarray]:
+    """Return the readings (steps,) of the uncontrolled flow over one period from the start state."""
+    steps = int(np.ceil(flow.baseline.shedding.period / flow.case.dt)) + 1
+    return baseline.free_run(FlowBatch(flow.operators, flow.baseline.start, 1), steps)
 
 
-def wake(ops: Operators, base: Baseline, evaluation: Evaluation, max_flow_rate: float, path: Path) -> None:
-    """Draw the wake uncontrolled and controlled, and C_D, C_L and the jet over the long run from the start state."""
-    case, trajectory = ops.case, evaluation.trajectory
-    time = (np.arange(len(trajectory.c_d)) + 1) * case.time_step
-    period = _one_period(ops, base)
-    phase = np.mod(time, base.shedding.period) / case.time_step - 1
-    free = [np.interp(phase, np.arange(len(period)), period[:, c]) for c in range(2)]
+def wake(flow: Flow, end: Start, series: dict[str, np.ndarray], amplitudes: np.ndarray, path: Path) -> None:
+    """Draw the wake uncontrolled and controlled, and C_D, C_L and an amplitude over a long run from the start state.
+
+    end: the controlled flow at the end of the run. series: its readings (steps,). amplitudes: (steps, inputs).
+    """
+    case, base, space = flow.case, flow.baseline, flow.operators.space
+    time = (np.arange(len(amplitudes)) + 1) * case.dt
+    period = _one_period(flow)
+    phase = np.mod(time, base.shedding.period) / case.dt - 1
+    free = {name: np.interp(phase, np.arange(len(period[name])), period[name]) for name in ("c_d", "c_l")}
     figure = plt.figure(figsize=(11, 6.6))
     grid = figure.add_gridspec(3, 2, height_ratios=(1.05, 1, 1), hspace=0.55, wspace=0.18)
-    pictures: list[tuple[str, Start]] = [("uncontrolled", base.start), ("controlled", trajectory.ends[0])]
+    pictures: list[tuple[str, Start]] = [("uncontrolled", base.start), ("controlled", end)]
     for column, (name, state) in enumerate(pictures):
         axis = figure.add_subplot(grid[0, column])
-        picture = _draw_vorticity(axis, case, ops.space, state.u, 30.0)
+        picture = _draw_vorticity(axis, case, space, state.u, 3.0 / case.convective_time)
         axis.set_title(name, loc="left", color=(UNCONTROLLED, CONTROLLED)[column])
         if column == 0:
             axis.set_ylabel("y")
-    figure.colorbar(
-        picture, ax=figure.axes, shrink=0.75, pad=0.015, label=r"vorticity [$\bar U$ / 10 D]", extend="both"
-    )
-    series = ((free[0], trajectory.c_d[:, 0], "$C_D$"), (free[1], trajectory.c_l[:, 0], "$C_L$"))
+    figure.colorbar(picture, ax=figure.axes, shrink=0.75, pad=0.015, label="vorticity", extend="both")
     drag, lift = figure.add_subplot(grid[1, :]), figure.add_subplot(grid[2, :])
-    for axis, (uncontrolled, controlled, label) in zip((drag, lift), series, strict=True):
-        axis.plot(time, uncontrolled, color=UNCONTROLLED, lw=0.8, alpha=0.7, label="uncontrolled")
-        axis.plot(time, controlled, color=CONTROLLED, lw=1.2, label="controlled")
+    for axis, name, label in ((drag, "c_d", "$C_D$"), (lift, "c_l", "$C_L$")):
+        axis.plot(time, free[name], color=UNCONTROLLED, lw=0.8, alpha=0.7, label="uncontrolled")
+        axis.plot(time, series[name], color=CONTROLLED, lw=1.2, label="controlled")
         axis.set_ylabel(label)
         axis.grid(alpha=0.25)
         axis.set_xlim(0, time[-1])
-    drag.axhline(base.cd_steady, color=REFERENCE, lw=1, ls="--", label="steady base flow")
-    low = min(base.cd_steady, np.nanmin(trajectory.c_d[:, 0]))
-    drag.set_ylim(low - 0.03, max(free[0].max(), np.nanmax(trajectory.c_d[:, 0])) + 0.12)
+    steady = base.steady["c_d"]
+    drag.axhline(steady, color=REFERENCE, lw=1, ls="--", label="steady base flow")
+    low = min(steady, np.nanmin(series["c_d"]))
+    drag.set_ylim(low - 0.03, max(free["c_d"].max(), np.nanmax(series["c_d"])) + 0.12)
     drag.legend(ncols=3, loc="upper right", fontsize=9)
     drag.set_xticklabels([])
-    lift.set_xlabel(r"time [10 D/$\bar U$, the paper's unit]")
-    jets = lift.twinx()
-    jets.plot(time, trajectory.jets[:, 0] / max_flow_rate, color="#7a9a4b", lw=0.8)
-    jets.set_ylim(-1.05, 1.05)
-    jets.set_ylabel("$Q_1 / Q_{max}$", color="#7a9a4b")
-    jets.spines["right"].set_visible(True)
+    lift.set_xlabel(f"time [{case.convective_time:g}$^{{-1}}$ L/U]" if case.convective_time != 1 else "time [L/U]")
+    _amplitude(lift, time, flow, amplitudes)
     figure.savefig(path, bbox_inches="tight")
     plt.close(figure)
+
+
+def _amplitude(axis, time: np.ndarray, flow: Flow, amplitudes: np.ndarray) -> None:
+    """Draw the first input's amplitude in units of its limit, on an axis of its own at the right."""
+    first = flow.case.actuators[0]
+    right = axis.twinx()
+    right.plot(time, amplitudes[:, 0] / first.limit, color="#7a9a4b", lw=0.8)
+    right.set_ylim(-1.05, 1.05)
+    right.set_ylabel(f"{first.on} / limit", color="#7a9a4b")
+    right.spines["right"].set_visible(True)

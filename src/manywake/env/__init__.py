@@ -1,1 +1,1 @@
-"""The control task on a flow, and its Gymnasium environments."""
+"""Flows under control: actions become amplitudes, readings become rewards; and the Gymnasium environments."""

@@ -1,46 +1,22 @@
-"""The Gymnasium environments: a true batch of flows, and a single one, `manywake/CylinderJets-v0`."""
+"""The Gymnasium environments of any flow: a true batch, and a single one."""
 
 import dataclasses
 import sys
+from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from manywake.env.task import PRESSURE_LIMIT, TASKS, ControlledFlow, Outcome, Task
-from manywake.flow import baseline, case
-from manywake.flow.case import Case
+from manywake.case.case import Case, readings
+from manywake.case.task import Task
+from manywake.env.control import ControlledFlows, Outcome, spaces
+from manywake.flow import store
+from manywake.suite import load
 
-COEFFICIENTS = "C = 2F / (rho U-bar^2 D), force on the body; drag positive downstream, lift positive up"
-
-
-def settings(case_or_name: Case | str, task_or_name: Task | str, overrides: dict[str, Any]) -> tuple[Case, Task]:
-    """Return case and task with overrides of their fields applied; ValueError for a name that neither has."""
-    chosen = case.by_name(case_or_name) if isinstance(case_or_name, str) else case_or_name
-    if isinstance(task_or_name, str) and task_or_name not in TASKS:
-        raise ValueError(f"task: got {task_or_name!r}, wanted one of {', '.join(TASKS)}")
-    task = TASKS[task_or_name] if isinstance(task_or_name, str) else task_or_name
-    in_case = {f.name for f in dataclasses.fields(Case)}
-    in_task = {f.name for f in dataclasses.fields(Task)}
-    for name in overrides:
-        if name not in in_case | in_task:
-            raise ValueError(f"got the setting {name!r}, wanted one of {', '.join(sorted(in_case | in_task))}")
-    return (
-        dataclasses.replace(chosen, **{k: v for k, v in overrides.items() if k in in_case}),
-        dataclasses.replace(task, **{k: v for k, v in overrides.items() if k in in_task}),
-    )
-
-
-def spaces(chosen: Case, task: Task) -> tuple[Box, Box]:
-    """Return the observation and the action space of a single flow."""
-    values = len(chosen.probes) * (2 if task.observation == "velocity" else 1)
-    return (
-        Box(-PRESSURE_LIMIT, PRESSURE_LIMIT, (values,), np.float32),
-        Box(-1.0, 1.0, (1,), np.float32),
-    )
+COEFFICIENTS = "C = 2F / (rho U^2 L), force on the body; drag positive downstream, lift positive up"
 
 
 def _say(what: str, share: float) -> None:
@@ -51,22 +27,24 @@ def _say(what: str, share: float) -> None:
 def _checked(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
     array = np.asarray(actions, dtype=np.float64)
     if array.shape != shape:
-        raise ValueError(f"action: got shape {array.shape}, wanted {shape}; one number in [-1, 1] per flow")
+        raise ValueError(f"action: got shape {array.shape}, wanted {shape}; numbers in [-1, 1], flows first")
     bad = array[~np.isfinite(array)]
     if bad.size:
         raise ValueError(f"action: got {bad[0]}, wanted finite numbers in [-1, 1]; check the policy's output")
-    return array[..., 0]
+    return array
 
 
-class CylinderJetsVectorEnv(gymnasium.vector.VectorEnv):
-    """B controlled cylinder flows in one process, advanced together.
+class FlowVectorEnv(gymnasium.vector.VectorEnv):
+    """B flows of one case in one process, advanced together.
 
-    Observation (B, 151): pressures at the paper's probes. Action (B, 1) in [-1, 1]: the upper jet blows with flow
-    rate Q1 = 0.01 a, the lower with Q2 = -Q1. Reward: see `manywake.env.task.REWARDS`. The horizon is `truncated`;
-    a flow that blows up is `terminated` with a finite observation and a penalty. `info` has, for the last action,
-    c_d and c_l (means; C = 2F / (rho U-bar^2 D), drag positive downstream, lift positive up; absent before the first
-    action, NaN when the flow blew up), jets (flow rates, blowing positive), time and diverged. The convention stands in
-    `metadata["coefficients"]` too.
+    case: a shipped one by name, the path of a case file, or a `Case` (then with task=Task(...)). task: a protocol of
+    the file by name, or a `Task`. Every other setting of the case and its task is an option, see `suite.load`.
+
+    Observation (B, values): what `Task.observe` names. Action (B, actions) in [-1, 1]: mixed to amplitudes in units of
+    their limits (`Task.mixing`). The horizon is `truncated`; a flow that blows up is `terminated` with a finite
+    observation and a charge. `info` has, for the last action, every reading by name (means; C = 2F / (rho U^2 L), drag
+    positive downstream, lift positive up; absent before the first action, NaN when the flow blew up), amplitudes
+    (inputs), time and diverged. The convention stands in `metadata["coefficients"]` too.
     """
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP, "coefficients": COEFFICIENTS}
@@ -74,23 +52,28 @@ class CylinderJetsVectorEnv(gymnasium.vector.VectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        case: Case | str = "cylinder-jets",
-        task: Task | str = "default",
+        case: str | Path | Case = load.DEFAULT,
+        task: Task | str | None = None,
         autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
         **overrides: Any,
     ):
-        self.case, self.task = settings(case, task, overrides)
-        self.num_envs = num_envs
+        chosen = load.choose(case, task, **overrides)
+        self.case, self.task, self.num_envs = chosen.case, chosen.task, num_envs
         self.metadata = {**self.metadata, "autoreset_mode": AutoresetMode(autoreset_mode)}
         self.single_observation_space, self.single_action_space = spaces(self.case, self.task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.task.steps(self.case.time_step)
-        ops, base = baseline.assembled(self.case, _say)
-        self._flows = ControlledFlow(ops, base, self.task, num_envs)
+        self._flows = ControlledFlows(store.flow(self.case, _say), self.task, num_envs)
+        self._readings = readings(self.case)
         self._ended = np.zeros(num_envs, dtype=bool)
         self._fresh = np.ones(num_envs, dtype=bool)
-        self._last = Outcome.none(num_envs, self._flows.steps)
+        self._last = self._nothing()
+
+    def _nothing(self) -> Outcome:
+        """Return the outcome before any action: all zero."""
+        zero, no = np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=bool)
+        means = {name: zero.copy() for name in self._readings}
+        return Outcome(zero, means, np.zeros_like(self._flows.amplitude), no, no, {}, np.empty(0))
 
     def reset(self, *, seed=None, options: dict[str, Any] | None = None):
         """Put all flows (or those of options["reset_mask"]) back to the start state."""
@@ -110,7 +93,7 @@ class CylinderJetsVectorEnv(gymnasium.vector.VectorEnv):
 
     def step(self, actions):
         """Advance every flow by one action interval; what happens at an episode's end is the autoreset mode's."""
-        action = _checked(actions, (self.num_envs, 1))
+        action = _checked(actions, (self.num_envs, *self.single_action_space.shape))
         mode = self.metadata["autoreset_mode"]
         if mode == AutoresetMode.DISABLED and self._ended.any():
             raise ValueError(
@@ -128,58 +111,59 @@ class CylinderJetsVectorEnv(gymnasium.vector.VectorEnv):
         observation, info = self._flows.observe(), self._info()
         self._ended = terminated | truncated
         if mode == AutoresetMode.SAME_STEP and self._ended.any():
-            columns = np.flatnonzero(self._ended)
-            final = np.full(self.num_envs, None, dtype=object)
-            for column in columns:
-                final[column] = observation[column].copy()
-            final_info = info | {key: self._ended.copy() for key in info if key.startswith("_")}
-            self._flows.reset(columns)
-            observation = self._flows.observe()
-            self._last = _cleared(outcome, columns)
-            self._fresh[columns] = True
-            info = self._info()
-            info |= {"final_obs": final, "_final_obs": self._ended.copy()}
-            info |= {"final_info": final_info, "_final_info": self._ended.copy()}
-            self._ended = np.zeros(self.num_envs, dtype=bool)
+            observation, info = self._replaced(observation, info, outcome)
         return observation, outcome.reward.copy(), terminated, truncated, info
 
+    def _replaced(self, observation: np.ndarray, info: dict[str, Any], outcome: Outcome):
+        """Start ended flows anew in the same step; return the new observation and info, with the final ones in it."""
+        columns = np.flatnonzero(self._ended)
+        final = np.full(self.num_envs, None, dtype=object)
+        for column in columns:
+            final[column] = observation[column].copy()
+        final_info = info | {key: self._ended.copy() for key in info if key.startswith("_")}
+        self._flows.reset(columns)
+        self._last = _cleared(outcome, columns)
+        self._fresh[columns] = True
+        info = self._info()
+        info |= {"final_obs": final, "_final_obs": self._ended.copy()}
+        info |= {"final_info": final_info, "_final_info": self._ended.copy()}
+        self._ended = np.zeros(self.num_envs, dtype=bool)
+        return self._flows.observe(), info
+
     def _info(self, mask: np.ndarray | None = None) -> dict[str, Any]:
-        """Return the info of the last action, for the flows of `mask`; a fresh flow has no C_D and C_L yet."""
+        """Return the info of the last action, for the flows of `mask`; a fresh flow has no readings yet."""
         there = np.ones(self.num_envs, dtype=bool) if mask is None else mask
-        flows = self._flows
-        info: dict[str, Any] = {
-            "c_d": self._last.c_d.copy(),
-            "c_l": self._last.c_l.copy(),
-            "jets": np.stack([flows.control, -flows.control], axis=1),
-            "time": flows.actions * self.task.action_interval,
+        info: dict[str, Any] = {name: part.copy() for name, part in self._last.means.items()}
+        present = {f"_{name}": there & ~self._fresh for name in info}
+        now = {
+            "amplitudes": np.ascontiguousarray(self._flows.amplitude.T),
+            "time": self._flows.actions * self.task.interval,
             "diverged": self._last.diverged.copy(),
         }
-        present = {f"_{key}": there & ~self._fresh if key in ("c_d", "c_l") else there.copy() for key in info}
-        return info | present
+        return info | now | present | {f"_{name}": there.copy() for name in now}
 
 
 def _cleared(outcome: Outcome, columns: np.ndarray) -> Outcome:
     """Return the outcome with the given columns as just after a reset."""
-    parts = {}
-    for field in dataclasses.fields(Outcome):
-        parts[field.name] = getattr(outcome, field.name).copy()
-        parts[field.name][..., columns] = 0
-    return Outcome(**parts)
+    means = {name: part.copy() for name, part in outcome.means.items()}
+    parts = {name: getattr(outcome, name).copy() for name in ("reward", "diverged", "truncated", "amplitude")}
+    for part in (*parts.values(), *means.values()):
+        part[..., columns] = 0
+    return dataclasses.replace(outcome, means=means, **parts)
 
 
-class CylinderJetsEnv(gymnasium.Env):
-    """One controlled cylinder flow: `CylinderJetsVectorEnv` with a batch of one."""
+class FlowEnv(gymnasium.Env):
+    """One flow under control: `FlowVectorEnv` with a batch of one."""
 
     metadata = {"render_modes": [], "coefficients": COEFFICIENTS}
 
-    def __init__(self, case: Case | str = "cylinder-jets", task: Task | str = "default", **overrides: Any):
-        self._batch = CylinderJetsVectorEnv(1, case, task, AutoresetMode.DISABLED, **overrides)
+    def __init__(self, case: str | Path | Case = load.DEFAULT, task: Task | str | None = None, **overrides: Any):
+        self._batch = FlowVectorEnv(1, case, task, AutoresetMode.DISABLED, **overrides)
         self.case, self.task = self._batch.case, self._batch.task
-        self.observation_space = self._batch.single_observation_space
-        self.action_space = self._batch.single_action_space
+        self.observation_space, self.action_space = spaces(self.case, self.task)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        """Return to the start state, the developed Karman street at an upward crossing of C_L."""
+        """Return to the start state, the developed flow at an upward crossing of C_L."""
         super().reset(seed=seed, options=options)
         observation, info = self._batch.reset()
         return observation[0], _single(info)
@@ -198,9 +182,12 @@ def _single(info: dict[str, Any]) -> dict[str, Any]:
 
 
 def register() -> None:
-    """Tell Gymnasium of `manywake/CylinderJets-v0`."""
-    gymnasium.register(
-        "manywake/CylinderJets-v0",
-        entry_point="manywake.env.env:CylinderJetsEnv",
-        vector_entry_point="manywake.env.env:CylinderJetsVectorEnv",
-    )
+    """Tell Gymnasium of `manywake/Flow-v0`, any case, and of an id for each shipped flow."""
+    ids: dict[str, dict[str, Any]] = {"Flow": {}, "CylinderJets": {"case": "cylinder-jets"}}
+    for name, settings in ids.items():
+        gymnasium.register(
+            f"manywake/{name}-v0",
+            entry_point="manywake.env.env:FlowEnv",
+            vector_entry_point="manywake.env.env:FlowVectorEnv",
+            kwargs=settings,
+        )

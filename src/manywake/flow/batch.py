@@ -4,9 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manywake.flow import simd, stepper
+from manywake.flow import stepper
+from manywake.flow.factors import Rows
+from manywake.flow.kernels import product
 from manywake.flow.operators import Operators
 from manywake.flow.stepper import State
+from manywake.machine import simd
 
 
 @dataclass(frozen=True)
@@ -50,38 +53,50 @@ class FlowBatch:
             b, lane = self._columns[column]
             _write(self.ops, self._blocks[b], lane, self._start if start is None else start)
 
-    def advance(self, jets: np.ndarray) -> np.ndarray:
-        """Advance all flows by len(jets) steps; jets (steps, jets, B) are the flow rates during each step.
+    def advance(self, amplitudes: np.ndarray) -> np.ndarray:
+        """Advance all flows by len(amplitudes) steps; amplitudes (steps, inputs, B) are held during each step.
 
-        Returns the coefficients (steps, 2, B): C_D and C_L of each step. A flow that has blown up has non-finite
-        numbers in its column and leaves the others alone.
+        Returns what is read at each step, (steps, functionals, B), as `stepper.advance`. A flow that has blown up has
+        non-finite numbers in its column and leaves the others alone.
         """
-        expected = (len(self.ops.case.jets), self.flows)
-        if jets.ndim != 3 or jets.shape[1:] != expected:
+        expected = (len(self.ops.inputs), self.flows)
+        if amplitudes.ndim != 3 or amplitudes.shape[1:] != expected:
             raise ValueError(
-                f"jets: expected (steps, {expected[0]}, {expected[1]}), got {jets.shape}; the batch is the last axis"
+                f"amplitudes: expected (steps, {expected[0]}, {expected[1]}), got {amplitudes.shape}; the batch is the "
+                "last axis"
             )
-        steps = len(jets)
-        coefficients = np.empty((steps, 2, self.flows))
+        steps = len(amplitudes)
+        read = np.empty((steps, len(self.ops.functionals), self.flows))
         column = 0
         for b, state in enumerate(self._blocks):
             width = simd.numbers(state.u).shape[-1]
             count = min(width, self.flows - column)
-            rates = np.zeros((steps, expected[0], width))
-            rates[:, :, :count] = jets[:, :, column : column + count]
-            self._blocks[b], force = stepper.advance(self.ops, state, rates)
-            coefficients[:, :, column : column + count] = force[:, :, :count]
+            given = np.zeros((steps, expected[0], width))
+            given[:, :, :count] = amplitudes[:, :, column : column + count]
+            self._blocks[b], found = stepper.advance(self.ops, state, given)
+            read[:, :, column : column + count] = found[:, :, :count]
             column += count
-        return coefficients
+        return read
 
-    def read(self, sensor) -> np.ndarray:
-        """Return sensor(ops, state) of all flows, (B, ...); `sensor` is one of `sensors.OBSERVATIONS`, say."""
-        return np.concatenate([sensor(self.ops, state) for state in self._blocks])[: self.flows]
+    def read(self, sensor: str) -> np.ndarray:
+        """Return what a sensor reads in all flows, (B, values); of a velocity u0, v0, u1, v1, ..."""
+        field, rows = self.ops.sensors[sensor]
+        return np.concatenate([_read(field, rows, state) for state in self._blocks])[: self.flows]
 
     def state(self, column: int) -> Start:
         """Return a copy of one flow's state."""
         b, lane = self._columns[column]
         return read_state(self.ops, self._blocks[b], lane)
+
+
+def _read(field: str, rows: Rows, state: State) -> np.ndarray:
+    x, components = (state.p, (0,)) if field == "pressure" else (state.u, (0, 1))
+    parts = []
+    for component in components:
+        out = simd.zeros((len(rows.start) - 1, 1), simd.numbers(x).shape[-1])
+        product(*rows, x, component, out)
+        parts.append(np.ascontiguousarray(simd.numbers(out)[:, 0].T))
+    return np.stack(parts, axis=2).reshape(len(parts[0]), -1)
 
 
 def _empty(ops: Operators, width: int) -> State:

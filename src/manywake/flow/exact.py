@@ -6,32 +6,35 @@ X = k (x - c t), Y = k (y - d t), k = 2 pi and F = exp(-2 nu k^2 t):
     u = c - F cos X sin Y,   v = d + F sin X cos Y,   p = -F^2 (cos 2X + cos 2Y) / 4.
 
 Its boundary data are a steady part plus four products of a time and a space function, which is what the solver's
-jets are: so the square has four "jets" around all its boundary, and nothing in the time loop is special.
+inputs are: so the square has four of them around all its boundary, and nothing in the time loop is special.
 """
 
 import numpy as np
 import skfem
 
+from manywake.case.schemes import BDF2, Scheme
 from manywake.flow import operators, space
 from manywake.flow.batch import FlowBatch, Start
-from manywake.flow.case import BDF2, Case, Jet, Scheme
 from manywake.flow.mesh import Mesh
 from manywake.flow.operators import Operators
+from manywake.flow.problem import Problem
 
 K = 2 * np.pi
 STREAM = np.array([1.0, 0.7])
 DURATION = 0.06
 """In units of the time the stream takes across the square; a hundred steps of 6e-4."""
-REYNOLDS = 10.0
-"""Viscosity 0.01, so that convection, pressure and friction all matter on the square."""
+VISCOSITY = 0.01
+"""So that convection, pressure and friction all matter on the square."""
+BELLS = np.array([[0.05 * np.cos(a), 0.05 * np.sin(a), 0.05 * np.radians(10.0), 1.8] for a in np.pi / 2 * np.arange(4)])
+"""Damping acts at the corner of the square as around a body with jets, so that its order in time shows too."""
 
 
-def velocity(x: np.ndarray, t: float, viscosity: float) -> np.ndarray:
+def velocity(x: np.ndarray, t: float, viscosity: float = VISCOSITY) -> np.ndarray:
     """Return the exact velocity (n, 2) at points (n, 2)."""
     return STREAM + np.tensordot(rates(np.array([t]), viscosity)[0], profiles(x), 1)
 
 
-def pressure(x: np.ndarray, t: float, viscosity: float) -> np.ndarray:
+def pressure(x: np.ndarray, t: float, viscosity: float = VISCOSITY) -> np.ndarray:
     """Return the exact pressure (n,) at points (n, 2), of zero mean over the square."""
     X, Y = (K * (x - STREAM * t)).T
     return -0.25 * np.exp(-4 * viscosity * K**2 * t) * (np.cos(2 * X) + np.cos(2 * Y))
@@ -44,7 +47,7 @@ def profiles(x: np.ndarray) -> np.ndarray:
     return np.array([np.stack(pair, axis=1) for pair in pairs])
 
 
-def rates(t: np.ndarray, viscosity: float) -> np.ndarray:
+def rates(t: np.ndarray, viscosity: float = VISCOSITY) -> np.ndarray:
     """Return the time functions (steps, 4) that go with `profiles`."""
     (ca, cb), (sa, sb) = np.cos(K * np.outer(STREAM, t)), np.sin(K * np.outer(STREAM, t))
     return (np.exp(-2 * viscosity * K**2 * t) * np.array([ca * cb, ca * sb, sa * cb, sa * sb])).T
@@ -62,45 +65,32 @@ def solve(level: int, time_step: float, scheme: Scheme = BDF2) -> tuple[Operator
     The pressure is pinned at one vertex, where its increments are zero: what is stepped is p - p(pin). Boundary data
     are those of opposite sides alike, so that their interpolant has no net flux for the pin to swallow.
     """
-    jets = tuple(Jet(angle) for angle in (0.0, 90.0, 180.0, 270.0))
-    case = Case("vortex", REYNOLDS, jets, ((0.15, 0.15),), time_step, scheme)
-    dt, nu = time_step, case.viscosity
-    spaces = space.build(square(level))
+    dt, spaces = time_step, space.build(square(level))
     fixed = np.unique(spaces.velocity.get_dofs().all())
     steady, shapes = np.zeros_like(spaces.x), np.zeros((4, *spaces.x.shape))
     steady[fixed] = STREAM
     shapes[:, fixed] = profiles(spaces.x[fixed])
-    ops = operators.from_boundary_data(
-        case,
-        spaces,
-        fixed,
-        steady,
-        shapes,
-        body=fixed,
-        pressure_fixed=np.array([0]),
-        jet_flux_error=np.zeros(4),
-        jet_thrust=np.zeros((4, 2)),
-        mean=np.tile(STREAM, (len(spaces.x), 1)),
-    )
-    p = [pressure(spaces.mesh.points, -k * dt, nu) for k in range(3)]
+    inputs = tuple(f"vortex {k}" for k in range(4))
+    posed = Problem(spaces, fixed, steady, inputs, shapes, np.array([0]), bells=BELLS, kinetic=np.zeros(4))
+    ops = operators.assemble(posed, scheme, dt, VISCOSITY, np.tile(STREAM, (len(spaces.x), 1)))
+    p = [pressure(spaces.mesh.points, -k * dt) for k in range(3)]
     p = [q - q[0] for q in p]
-    start = Start(velocity(spaces.x, 0.0, nu), velocity(spaces.x, -dt, nu), p[0], p[0] - p[1], p[1] - p[2])
+    start = Start(velocity(spaces.x, 0.0), velocity(spaces.x, -dt), p[0], p[0] - p[1], p[1] - p[2])
     flow = FlowBatch(ops, start, 1)
     steps = round(DURATION / dt)
-    flow.advance(rates(dt * np.arange(1, steps + 1), nu)[:, :, None])
+    flow.advance(rates(dt * np.arange(1, steps + 1))[:, :, None])
     return ops, flow.state(0)
 
 
 def errors(ops: Operators, state: Start) -> tuple[float, float]:
     """Return the L2 errors of velocity and pressure (up to a constant) at DURATION."""
-    nu = ops.case.viscosity
     fine = skfem.Basis(ops.space.velocity.mesh, skfem.ElementTriP2(), intorder=8)
     points = np.asarray(fine.global_coordinates()).reshape(2, -1).T
     shape, weight = fine.dx.shape, fine.dx
-    u = velocity(points, DURATION, nu)
+    u = velocity(points, DURATION)
     squares = sum((np.asarray(fine.interpolate(state.u[:, c])) - u[:, c].reshape(shape)) ** 2 for c in range(2))
     e = np.asarray(fine.with_element(skfem.ElementTriP1()).interpolate(state.p))
-    e = e - pressure(points, DURATION, nu).reshape(shape)
+    e = e - pressure(points, DURATION).reshape(shape)
     e = e - np.sum(e * weight) / np.sum(weight)
     return float(np.sqrt(np.sum(squares * weight))), float(np.sqrt(np.sum(e**2 * weight)))
 

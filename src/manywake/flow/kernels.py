@@ -6,39 +6,10 @@ A velocity array is `pairs` here, (n, 1) rows that hold the lanes of both compon
 Every kernel works in the precision of the arrays it is given. Equation numbers: docs/numerics.md.
 """
 
-import hashlib
-from pathlib import Path
-from typing import Any
-
-import numba
 import numpy as np
-from platformdirs import user_cache_path
 
-from manywake.flow import simd
-from manywake.flow.simd import add, double, fma, high, join, load, low, mul, rounded, splat, store, sub
-
-
-def _cache_folder() -> str:
-    """Return a folder of the user's cache that is keyed by the code that every kernel is made of.
-
-    numba's own cache notices a change in the file of a kernel, but none in the files of what the kernel calls.
-    """
-    sources = [Path(__file__), Path(simd.__file__)]
-    key = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:16]
-    return str(user_cache_path("manywake") / "kernels" / key)
-
-
-def kernel(function) -> Any:
-    """Compile a function with numba on first use, without the interpreter lock, cached on disk."""
-    config: Any = numba.config
-    before = config.CACHE_DIR
-    config.CACHE_DIR = before or _cache_folder()
-    try:
-        return numba.njit(error_model="numpy", nogil=True, cache=True)(function)
-    except RuntimeError:  # no folder to write to: compile in every process
-        return numba.njit(error_model="numpy", nogil=True)(function)
-    finally:
-        config.CACHE_DIR = before
+from manywake.machine.compile import kernel
+from manywake.machine.simd import add, double, fma, high, join, load, low, mul, rounded, splat, store, sub
 
 
 def _quadrature() -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,107 +1,98 @@
-"""Triangle meshes of the channel, built by gmsh. Baselines (.npz) keep them."""
+"""Triangle meshes of any case, built by gmsh. Baselines (.npz) keep them."""
+
+from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from manywake.flow import disk
-from manywake.flow.case import Case
+from manywake.case.case import Case
+from manywake.case.geometry import Body, Circle, Piece, distance, outline
+from manywake.machine import disk
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles with named boundaries, straight but for the facets of the cylinder, which are arcs about the origin.
+    """Triangles with named boundaries, straight but for the facets of curved bodies.
 
     points: (n, 2) vertices. triangles: (e, 3) vertex numbers, counter-clockwise. boundaries: name -> (f, 2) vertex
-    numbers of its facets; the names are wall, inlet, outlet, cylinder, and jet0, jet1, ... in the order of the case.
+    numbers of its facets; names are those of the case's sides and pieces. curves: name of a boundary -> the body whose
+    curve its facets follow; those without one are straight.
     """
 
     points: np.ndarray
     triangles: np.ndarray
     boundaries: dict[str, np.ndarray]
+    curves: Mapping[str, Body] = field(default_factory=dict)
 
-    def arcs(self) -> np.ndarray:
-        """Return the facets of cylinder and jets, (f, 2) vertex numbers: the curved ones."""
-        facets = [f for name, f in self.boundaries.items() if name == "cylinder" or name[:3] == "jet"]
-        return np.concatenate(facets) if facets else np.empty((0, 2), int)
+    def middles(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the facets that are curved, (f, 2) vertex numbers, and the points of their curves amid each (f, 2)."""
+        parts = [(self.boundaries[name], body) for name, body in self.curves.items() if not body.straight]
+        if not parts:
+            return np.empty((0, 2), int), np.empty((0, 2))
+        x = [body.between(self.points[facets[:, 0]], self.points[facets[:, 1]]) for facets, body in parts]
+        return np.concatenate([facets for facets, _ in parts]), np.concatenate(x)
 
     def digest(self) -> str:
         """Return a hash of the mesh's content."""
         return disk.digest({"points": self.points, "triangles": self.triangles, **self.boundaries})
 
 
+def curves(case: Case, names: list[str]) -> dict[str, Body]:
+    """Return the body that each of the named boundaries is of, without the sides of the domain."""
+    return {name: body for name in names if (body := case.body(name)) is not None}
+
+
 def build(case: Case) -> Mesh:
-    """Mesh the case's channel with gmsh (the extra `manywake[gmsh]`)."""
+    """Mesh a case's domain with gmsh (the extra `manywake[gmsh]`); RuntimeError when that cannot be loaded."""
     try:
         import gmsh
     except (ImportError, OSError) as error:
         raise RuntimeError(
-            f"mesh: case {case.name!r} ships no mesh and gmsh cannot be loaded ({error}); "
+            f"mesh: no mesh of this geometry is shipped and gmsh cannot be loaded ({error}); "
             "install it with: pip install 'manywake[gmsh]' (it needs libGLU and libXrender from the system)"
         ) from error
     gmsh.initialize(interruptible=False)
     try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.option.setNumber("General.NumThreads", 1)
+        for option, value in _OPTIONS.items():
+            gmsh.option.setNumber(option, value)
         return _build(gmsh, case)
     finally:
         gmsh.finalize()
 
 
+_OPTIONS = {
+    "General.Terminal": 0,
+    "General.NumThreads": 1,
+    "Mesh.MeshSizeExtendFromBoundary": 0,
+    "Mesh.MeshSizeFromPoints": 0,
+    "Mesh.Algorithm": 6,
+    "Mesh.RandomSeed": 1,
+    "Mesh.Optimize": 1,
+    "Mesh.Smoothing": 10,
+}
+
+
 def _build(gmsh, case: Case) -> Mesh:
-    geo, size, r = gmsh.model.geo, case.resolution, case.radius
-    (x0, x1), (y0, y1) = case.x_range, case.y_range
-    corners = [geo.addPoint(x, y, 0) for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))]
-    sides = [geo.addLine(corners[i], corners[(i + 1) % 4]) for i in range(4)]
-    groups = {"wall": [sides[0], sides[2]], "outlet": [sides[1]], "inlet": [sides[3]]}
-
-    # rays from the cylinder cut the layers around it into patches: each jet, and what lies between in equal pieces
-    edges = sorted(
-        (jet.angle + sign * jet.width / 2, f"jet{i}" if sign < 0 else "cylinder")
-        for i, jet in enumerate(case.jets)
-        for sign in (-1, 1)
-    ) or [(0.0, "cylinder")]
-    rays: list[tuple[float, str, int]] = []
-    for (start, name), (end, _) in zip(edges, [*edges[1:], (edges[0][0] + 360, "")], strict=True):
-        pieces = 1 if name != "cylinder" else math.ceil((end - start) / 90)
-        step = (end - start) / pieces
-        facets = size.jet_facets if name != "cylinder" else round(math.radians(step) * r / size.cylinder)
-        rays += [(start + k * step, name, max(facets, 1)) for k in range(pieces)]
-    heights = size.layer_height * size.layer_growth ** np.arange(size.layers)
-    outer = r + float(heights.sum())
-    centre = geo.addPoint(0, 0, 0)
-
-    def ring(radius: float) -> tuple[list[int], list[int]]:
-        at = [math.radians(angle) for angle, _, _ in rays]
-        points = [geo.addPoint(radius * math.cos(a), radius * math.sin(a), 0) for a in at]
-        return points, [geo.addCircleArc(points[k - 1], centre, points[k]) for k in [*range(1, len(points)), 0]]
-
-    (inner_points, inner_arcs), (outer_points, outer_arcs) = ring(r), ring(outer)
-    spokes = [geo.addLine(a, b) for a, b in zip(inner_points, outer_points, strict=True)]
-    patches = []
-    for k, (_, name, facets) in enumerate(rays):
-        after = (k + 1) % len(rays)
-        loop = geo.addCurveLoop([inner_arcs[k], spokes[after], -outer_arcs[k], -spokes[k]])
-        patches.append(geo.addPlaneSurface([loop]))
-        for arc in (inner_arcs[k], outer_arcs[k]):
-            geo.mesh.setTransfiniteCurve(arc, facets + 1)
-        geo.mesh.setTransfiniteCurve(spokes[k], size.layers + 1, "Progression", size.layer_growth)
-        geo.mesh.setTransfiniteSurface(patches[-1], "AlternateLeft")
-        groups.setdefault(name, []).append(inner_arcs[k])
-    geo.addPlaneSurface([geo.addCurveLoop(sides), geo.addCurveLoop(outer_arcs)])
+    geo, holes = gmsh.model.geo, []
+    groups: dict[str, list[int]] = {}
+    sides = case.domain.sides()
+    corners = [geo.addPoint(*side.start, 0) for side in sides]
+    lines = [geo.addLine(corners[k], corners[(k + 1) % len(sides)]) for k in range(len(sides))]
+    for side, line in zip(sides, lines, strict=True):
+        groups.setdefault(side.name, []).append(line)
+    for body in case.bodies:
+        named, loop = _layers(geo, case, body)
+        holes.append(loop)
+        for name, curve in named:
+            groups.setdefault(name, []).append(curve)
+    geo.addPlaneSurface([geo.addCurveLoop(lines), *holes])
     geo.synchronize()
-
-    def triangle_size(dim, tag, x, y, z, default):
-        return _size(case, outer, x, y)
-
-    gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
-    gmsh.option.setNumber("Mesh.MeshSizeFromPoints", 0)
-    gmsh.option.setNumber("Mesh.Algorithm", 6)
-    gmsh.option.setNumber("Mesh.RandomSeed", 1)
-    gmsh.option.setNumber("Mesh.Optimize", 1)
-    gmsh.option.setNumber("Mesh.Smoothing", 10)
-    gmsh.model.mesh.setSizeCallback(triangle_size)
+    size = SizeField(case)
+    gmsh.model.mesh.setSizeCallback(lambda dim, tag, x, y, z, default: size(x, y))
     gmsh.model.mesh.generate(2)
 
     tags, coordinates, _ = gmsh.model.mesh.getNodes()
@@ -110,23 +101,100 @@ def _build(gmsh, case: Case) -> Mesh:
     _, elements = gmsh.model.mesh.getElementsByType(2)
     triangles = np.array([number[int(tag)] for tag in elements]).reshape(-1, 3)
     boundaries = {}
-    for name, curves in groups.items():
-        tagged = [gmsh.model.mesh.getElementsByType(1, curve)[1] for curve in curves]
+    for name, of_group in groups.items():
+        tagged = [gmsh.model.mesh.getElementsByType(1, curve)[1] for curve in of_group]
         boundaries[name] = np.array([number[int(tag)] for tag in np.concatenate(tagged)]).reshape(-1, 2)
-    return _compact(xy, triangles, boundaries)
+    return _compact(xy, triangles, boundaries, curves(case, list(boundaries)))
 
 
-def _size(case: Case, outer: float, x: float, y: float) -> float:
-    """Return the wanted triangle size at a point outside the layers, which end at radius `outer`."""
-    size = case.resolution
-    # faster where the flow comes from; slower downstream, where the shear layers roll up
-    growth = 0.14 - 0.04 * min(max(x / case.radius, 0.0), 1.0)
-    near = size.cylinder * outer / case.radius + growth * max(math.hypot(x, y) - outer, 0.0)
-    wake = size.wake + 0.045 * max(x - 0.3, 0.0) + 0.4 * max(abs(y - 0.005) - 0.1, 0.0) + 0.6 * max(-x - 0.05, 0.0)
-    return min(near, wake, size.far)
+def _layers(geo, case: Case, body: Body) -> tuple[list[tuple[str, int]], int]:
+    """Lay quadrilaterals around a body, patch by patch; return its curves by name, and the loop around them."""
+    size, length = case.sizes, case.scales.length
+    rays = _rays(case, body)
+    heights = size.layer_height * length * size.layer_growth ** np.arange(size.layers)
+    centre = geo.addPoint(*body.centre, 0)
+
+    def ring(height: float) -> tuple[list[int], list[int]]:
+        points = [geo.addPoint(*body.point(np.array([piece.start]), height)[0], 0) for piece, _ in rays]
+        made = []
+        for k, (piece, facets) in enumerate(rays):
+            ends = points[k], points[(k + 1) % len(points)]
+            made.append(_curve(geo, body, piece, height, ends, centre, facets))
+        return points, made
+
+    (inner_points, inner), (outer_points, outer) = ring(0.0), ring(float(heights.sum()))
+    spokes = [geo.addLine(a, b) for a, b in zip(inner_points, outer_points, strict=True)]
+    for k, (_, facets) in enumerate(rays):
+        after = (k + 1) % len(rays)
+        patch = geo.addPlaneSurface([geo.addCurveLoop([inner[k], spokes[after], -outer[k], -spokes[k]])])
+        for curve in (inner[k], outer[k]):
+            geo.mesh.setTransfiniteCurve(curve, facets + 1)
+        geo.mesh.setTransfiniteCurve(spokes[k], size.layers + 1, "Progression", size.layer_growth)
+        geo.mesh.setTransfiniteSurface(patch, "AlternateLeft")
+    return [(piece.name, curve) for (piece, _), curve in zip(rays, inner, strict=True)], geo.addCurveLoop(outer)
 
 
-def _compact(points: np.ndarray, triangles: np.ndarray, boundaries: dict[str, np.ndarray]) -> Mesh:
+def _rays(case: Case, body: Body) -> list[tuple[Piece, int]]:
+    """Return the pieces of a body with their facets: parts as they are, what lies between in equal quarters."""
+    rays = []
+    for piece in body.pieces():
+        count = 1 if body.straight or piece.name != body.name else math.ceil((piece.end - piece.start) / 90)
+        step = (piece.end - piece.start) / count
+        for k in range(count):
+            mine = Piece(piece.name, piece.start + k * step, piece.start + (k + 1) * step)
+            along = body.point(np.linspace(mine.start, mine.end, 2 if body.straight else 200))
+            length = float(np.linalg.norm(np.diff(along, axis=0), axis=1).sum())
+            facets = max(round(length / (case.sizes.body * case.scales.length)), 1)
+            rays.append((mine, facets if piece.name == body.name else max(case.sizes.part_facets, 1)))
+    return rays
+
+
+def _curve(geo, body: Body, piece: Piece, height: float, ends, centre: int, facets: int) -> int:
+    """Return gmsh's curve along a piece: a line, an arc, or a spline through the points at which facets will end."""
+    if body.straight:
+        return geo.addLine(*ends)
+    if isinstance(body, Circle):
+        return geo.addCircleArc(ends[0], centre, ends[1])
+    inner = np.linspace(piece.start, piece.end, 4 * facets + 1)[1:-1]
+    return geo.addSpline([ends[0], *(geo.addPoint(*xy, 0) for xy in body.point(inner, height)), ends[1]])
+
+
+class SizeField:
+    """The wanted size of a triangle at a point outside the layers."""
+
+    def __init__(self, case: Case):
+        self.sizes, self.length = case.sizes, case.scales.length
+        height = self.length * case.sizes.layer_height
+        height *= float((case.sizes.layer_growth ** np.arange(case.sizes.layers)).sum())
+        self.outlines = [outline(body, height, 180) for body in case.bodies]
+        self.grown = [_perimeter(o) / _perimeter(outline(b)) for o, b in zip(self.outlines, case.bodies, strict=True)]
+        self.centres = [(body.centre, outline(body)) for body in case.bodies]
+        every = np.concatenate([outline(body) for body in case.bodies]) if case.bodies else np.zeros((1, 2))
+        (self.front, low), (self.back, high) = every.min(axis=0), every.max(axis=0)
+        axis = case.sizes.wake_axis
+        self.axis, self.half = 0.5 * (low + high) if axis is None else axis, 0.5 * (high - low)
+
+    def __call__(self, x: float, y: float) -> float:
+        size, L, point = self.sizes, self.length, np.array([[x, y]])
+        least = size.far * L
+        if not self.outlines:
+            return least
+        for ((cx, _), xy), ring, grown in zip(self.centres, self.outlines, self.grown, strict=True):
+            # faster where the flow comes from; slower downstream, where the shear layers roll up
+            growth = 0.14 - 0.04 * min(max((x - cx) / (xy[:, 0].max() - cx), 0.0), 1.0)
+            least = min(least, size.body * L * grown + growth * distance(ring, point)[0])
+        wake = size.wake * L + 0.045 * max(x - self.back - 2.5 * L, 0.0)
+        wake += 0.4 * max(abs(y - self.axis) - self.half - 0.5 * L, 0.0) + 0.6 * max(self.front - x, 0.0)
+        return min(least, wake)
+
+
+def _perimeter(polygon: np.ndarray) -> float:
+    return float(np.linalg.norm(np.roll(polygon, -1, axis=0) - polygon, axis=1).sum())
+
+
+def _compact(
+    points: np.ndarray, triangles: np.ndarray, boundaries: dict[str, np.ndarray], bodies: Mapping[str, Body]
+) -> Mesh:
     """Drop unused points (circle centres), and turn all triangles counter-clockwise."""
     used, triangles = np.unique(triangles, return_inverse=True)
     triangles = triangles.reshape(-1, 3)
@@ -136,23 +204,30 @@ def _compact(points: np.ndarray, triangles: np.ndarray, boundaries: dict[str, np
     clockwise = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) < (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     triangles[clockwise] = triangles[clockwise][:, [0, 2, 1]]
     named = {name: np.array([[renumber[int(v)] for v in f] for f in facets]) for name, facets in boundaries.items()}
-    return Mesh(points, triangles.astype(np.int64), named)
+    for name, body in bodies.items():  # gmsh's splines are a little off the curves
+        on = np.unique(named[name])
+        points[on] = body.between(points[on], points[on])
+    return Mesh(points, triangles.astype(np.int64), named, bodies)
 
 
-def refine(mesh: Mesh, case: Case) -> Mesh:
-    """Cut every triangle into four; the new vertices of the cylinder's facets go onto the circle."""
+def refine(mesh: Mesh) -> Mesh:
+    """Cut every triangle into four; the new vertices of curved facets go onto their curves."""
     edges = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, inverse = np.unique(edges, axis=0, return_inverse=True)
     n = len(mesh.points)
     points = np.concatenate([mesh.points, mesh.points[edges].mean(axis=1)])
     number = {(int(a), int(b)): n + k for k, (a, b) in enumerate(edges)}
-    boundaries = {}
+
+    def middle(facets: np.ndarray) -> np.ndarray:
+        return np.array([number[min(a, b), max(a, b)] for a, b in facets.tolist()], dtype=int)
+
+    boundaries: dict[str, Any] = {}
     for name, facets in mesh.boundaries.items():
-        mids = np.array([number[min(a, b), max(a, b)] for a, b in facets.tolist()])
+        mids = middle(facets)
         boundaries[name] = np.concatenate([np.c_[facets[:, 0], mids], np.c_[mids, facets[:, 1]]])
-    middles = [number[min(a, b), max(a, b)] for a, b in mesh.arcs().tolist()]
-    points[middles] *= (case.radius / np.linalg.norm(points[middles], axis=1))[:, None]
+    curved, x = mesh.middles()
+    points[middle(curved)] = x
     a, b, c = mesh.triangles.T
     ab, bc, ca = (n + inverse.reshape(-1, 3)).T
     triangles = np.concatenate([np.c_[a, ab, ca], np.c_[ab, b, bc], np.c_[ca, bc, c], np.c_[ab, bc, ca]])
-    return Mesh(points, triangles, boundaries)
+    return Mesh(points, triangles, boundaries, mesh.curves)

@@ -1,4 +1,4 @@
-"""Taylor-Hood elements: P2 velocity and P1 pressure on triangles, isoparametric at the cylinder, by scikit-fem."""
+"""Taylor-Hood elements: P2 velocity and P1 pressure on triangles, isoparametric at curved bodies, by scikit-fem."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +15,8 @@ from manywake.flow.mesh import Mesh
 class Curved(skfem.MeshTri2):
     """Quadratic triangles; points are looked for in the straight ones of the same vertices.
 
-    That finds the right triangle for every point of the fluid: the chords lie inside the cylinder.
+    That finds the right triangle for every point of the fluid where chords lie inside the bodies, as those of convex
+    ones do.
     """
 
     def element_finder(self, mapping=None):
@@ -29,7 +30,7 @@ class Space:
     `n` velocity nodes (P2: vertices and edge midpoints) and `m` pressure nodes (P1: vertices), numbered as
     scikit-fem does. x: (n, 2) positions of the velocity nodes. nodes: (elements, 6) their numbers, vertices first.
     mass, stiffness: (n, n) for one velocity component. divergence: pair of (m, n), (q, du/dx) and (q, dv/dy).
-    pressure_stiffness: (m, m). curved: numbers of the elements with an arc of the cylinder. inverse: (elements, 4),
+    pressure_stiffness: (m, m). curved: numbers of the elements with a curved facet. inverse: (elements, 4),
     inverse Jacobian times its absolute determinant, row by row, of the straight elements. curved_inverse:
     (curved, 7, 4), the same at the quadrature points of the curved ones.
     """
@@ -69,7 +70,7 @@ class Space:
 def build(mesh: Mesh) -> Space:
     """Set up the spaces and assemble their matrices."""
     skmesh = skfem.MeshTri(mesh.points.T.copy(), mesh.triangles.T.copy())
-    if len(mesh.arcs()):
+    if len(mesh.middles()[0]):
         skmesh = _curve(skmesh, mesh)
     velocity = skfem.Basis(skmesh, skfem.ElementTriP2(), intorder=5)
     pressure = velocity.with_element(skfem.ElementTriP1())
@@ -108,12 +109,12 @@ def build(mesh: Mesh) -> Space:
 
 
 def _curve(skmesh: skfem.MeshTri, mesh: Mesh) -> Curved:
-    """Return the mesh with the middle of each facet of the cylinder moved out to its circle."""
+    """Return the mesh with the middle of each curved facet moved out to its curve."""
     known = {(int(a), int(b)): k for k, (a, b) in enumerate(skmesh.facets.T)}
-    middles = len(mesh.points) + np.array([known[min(a, b), max(a, b)] for a, b in mesh.arcs().tolist()])
+    facets, x = mesh.middles()
+    middles = len(mesh.points) + np.array([known[min(a, b), max(a, b)] for a, b in facets.tolist()])
     curved = Curved.from_mesh(skmesh)
-    radius = np.linalg.norm(mesh.points[mesh.arcs()[:, 0]], axis=1)
-    curved.doflocs[:, middles] *= radius / np.linalg.norm(curved.doflocs[:, middles], axis=0)
+    curved.doflocs[:, middles] = x.T
     return curved
 
 

@@ -7,18 +7,19 @@ import scipy.sparse as sp
 import skfem
 from scipy.sparse.linalg import splu
 
-from manywake.flow.case import Case
+from manywake.case.case import Case
+from manywake.flow.problem import Problem
+from manywake.flow.readings import KINDS
 from manywake.flow.space import Space
 
 
 @dataclass(frozen=True)
 class SteadyFlow:
-    """u: (n, 2), p: (m,) in scikit-fem's order. c_d, c_l: 2F / (rho U-bar^2 D). iterations: Newton steps taken."""
+    """u: (n, 2), p: (m,) in scikit-fem's order. readings: of the bodies, by name. iterations: Newton steps taken."""
 
     u: np.ndarray
     p: np.ndarray
-    c_d: float
-    c_l: float
+    readings: dict[str, float]
     iterations: int
 
 
@@ -34,19 +35,21 @@ def _reaction(u, v, w):
     return w.s * u * v
 
 
-def solve(case: Case, space: Space, tolerance: float = 1e-9, most: int = 30) -> SteadyFlow:
-    """Find the steady flow without jets, from the Stokes flow on, through growing Reynolds numbers.
+LADDER = (20.0, 50.0)
+"""Reynolds numbers at which Newton's method stops on the way to a larger one."""
+
+
+def solve(case: Case, problem: Problem, tolerance: float = 1e-9, most: int = 30) -> SteadyFlow:
+    """Find the steady flow at zero amplitudes, from the Stokes flow on, through growing Reynolds numbers.
 
     Raises RuntimeError when Newton does not converge within `most` steps at one Reynolds number.
     """
+    space = problem.space
     n, m = space.mass.shape[0], space.pressure_stiffness.shape[0]
-    body = space.boundary_nodes(["cylinder", *(f"jet{i}" for i in range(len(case.jets)))])
-    inlet = space.boundary_nodes(["inlet"])
-    fixed = np.union1d(np.union1d(space.boundary_nodes(["wall"]), body), inlet)
-    free = np.setdiff1d(np.arange(2 * n + m), np.concatenate([fixed, n + fixed]))
+    pinned = np.empty(0, int) if case.outlet else 2 * n + problem.pressure_fixed
+    free = np.setdiff1d(np.arange(2 * n + m), np.concatenate([problem.fixed, n + problem.fixed, pinned]))
     Bx, By = space.divergence
-    x = np.zeros(2 * n + m)
-    x[inlet] = case.inflow(space.x[inlet, 1])
+    x = np.concatenate([*problem.steady.T, np.zeros(m)])
 
     basis = skfem.Basis(space.velocity.mesh, skfem.ElementTriP2(), intorder=5)
 
@@ -66,9 +69,9 @@ def solve(case: Case, space: Space, tolerance: float = 1e-9, most: int = 30) -> 
         return residual, stokes + newton
 
     taken = 0
-    ladder = [re for re in (20.0, 50.0) if re < case.reynolds] + [case.reynolds]
+    ladder = [re for re in LADDER if re < case.reynolds] + [case.reynolds]
     for reynolds, convect in [(1.0, False), *((re, True) for re in ladder)]:
-        nu = case.diameter / reynolds
+        nu = case.scales.length * case.scales.velocity / reynolds
         for _ in range(most):
             r, J = residual_and_jacobian(x, nu, convect)
             taken += 1
@@ -79,9 +82,20 @@ def solve(case: Case, space: Space, tolerance: float = 1e-9, most: int = 30) -> 
         else:
             raise RuntimeError(f"steady: Newton did not converge at Re {reynolds:g} in {most} steps")
     r, _ = residual_and_jacobian(x, case.viscosity, True)
-    coefficient = -2.0 / case.diameter
-    force = coefficient * np.array([r[body].sum(), r[n + body].sum()])
-    return SteadyFlow(np.stack([x[:n], x[n : 2 * n]], axis=1), x[2 * n :], float(force[0]), float(force[1]), taken)
+    u = np.stack([x[:n], x[n : 2 * n]], axis=1)
+    return SteadyFlow(u, x[2 * n :], _readings(case, problem, np.stack([r[:n], r[n : 2 * n]], axis=1)), taken)
+
+
+def _readings(case: Case, problem: Problem, residual: np.ndarray) -> dict[str, float]:
+    """Return drag, lift and torque in total and of each body, from the momentum residual (n, 2)."""
+    found: dict[str, float] = dict.fromkeys(KINDS, 0.0) if case.bodies else {}
+    for functional in problem.functionals:
+        kind, _, body = functional.name.partition(".")
+        if kind in KINDS:
+            value = -float((functional.phi * residual).sum()) + case.viscosity * float(functional.wall[-1])
+            found[f"{kind}.{body}"] = functional.scale * value
+            found[kind] += found[f"{kind}.{body}"]
+    return found
 
 
 def pressure_at(space: Space, p: np.ndarray, points: list[tuple[float, float]]) -> np.ndarray:

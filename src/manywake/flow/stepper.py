@@ -4,19 +4,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manywake.flow import simd
 from manywake.flow.kernels import (
     convection,
     divergence,
     extrapolate,
     extrapolate_row,
-    kernel,
     linear_terms,
     solve,
     subtract_rows,
 )
 from manywake.flow.operators import Operators
-from manywake.flow.simd import add, double, fma, high, join, load, low, mul, rounded, splat, store, sub
+from manywake.machine import simd
+from manywake.machine.compile import kernel
+from manywake.machine.simd import add, double, fma, join, load, mul, rounded, splat, store, sub
 
 
 @dataclass(frozen=True)
@@ -35,17 +35,18 @@ class State:
 
 
 @kernel
-def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, p_star, jets, force):
-    """Take len(jets) steps. jets: (steps, jets) lanes. force: (steps, 2) lanes, receives C_D and C_L.
+def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, parts, p_star, amplitudes, readings):
+    """Take len(amplitudes) steps; readings: (steps, functionals) lanes, receives what is read at each.
 
-    u, u_old, e, d, y: pairs. e, d, y, p_star: room in the precision of the operators.
+    amplitudes: (steps, inputs) lanes. u, u_old, e, d, y: pairs. e, d, y, p_star: room in the precision of the
+    operators. parts: (2 n, 1), the memory of y by components.
     """
-    ahead, b1, b2, to_coefficient = ops.numbers[0], ops.numbers[1], ops.numbers[2], ops.numbers[3]
+    ahead, b1, b2 = ops.numbers[0], ops.numbers[1], ops.numbers[2]
     nf = len(ops.momentum.inverse_diagonal)
     mf = len(ops.poisson.inverse_diagonal)
     tested = len(ops.linear.start) - 1
     extrapolate(ahead, u, u_old, e, d)
-    for s in range(len(jets)):
+    for s in range(len(amplitudes)):
         # minus the residual of the momentum equation at the extrapolated velocity and pressure (eq. 6-9)
         for i in range(mf):
             now = load(p, i, 0)
@@ -59,25 +60,18 @@ def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, p_star, jets, force):
             store(y, i, 0, splat(0.0, y))
         convection(ops.nodes, ops.inverse, e, y)
         convection(ops.curved_nodes, ops.curved_inverse, e, y)
-
-        # what of the force is known before the increment (eq. 14)
-        f = splat(0.0, u)
-        for i in range(nf, tested):
-            f = add(f, double(load(y, i, 0)))
-        for j in range(jets.shape[1]):
-            q = load(jets, s, j)
-            f = add(f, join(mul(ops.jet_thrust[j, 0], mul(q, q)), mul(ops.jet_thrust[j, 1], mul(q, q))))
+        _read_residual(ops, s, parts, amplitudes, readings)
 
         # increment of the velocity (eq. 9): boundary values, then the free nodes
         for i in range(len(ops.fixed)):
-            g = join(splat(ops.fixed[i, 0], jets), splat(ops.fixed[i, 1], jets))
+            g = join(splat(ops.fixed[i, 0], amplitudes), splat(ops.fixed[i, 1], amplitudes))
             store(y, nf + i, 0, rounded(sub(g, _ahead(ahead, u, u_old, nf + i)), y))
-        for k in range(len(ops.jet_rows)):
-            i = ops.jet_rows[k]
-            x, z = splat(ops.fixed[i - nf, 0], jets), splat(ops.fixed[i - nf, 1], jets)
-            for j in range(jets.shape[1]):
-                q = load(jets, s, j)
-                x, z = fma(ops.jet_profile[j, k, 0], q, x), fma(ops.jet_profile[j, k, 1], q, z)
+        for k in range(len(ops.input_rows)):
+            i = ops.input_rows[k]
+            x, z = splat(ops.fixed[i - nf, 0], amplitudes), splat(ops.fixed[i - nf, 1], amplitudes)
+            for j in range(amplitudes.shape[1]):
+                q = load(amplitudes, s, j)
+                x, z = fma(ops.input_profile[j, k, 0], q, x), fma(ops.input_profile[j, k, 1], q, z)
             store(y, i, 0, rounded(sub(join(x, z), _ahead(ahead, u, u_old, i)), y))
         coupling = ops.coupling
         subtract_rows(ops.coupling_rows, coupling.start, coupling.column, coupling.value, y, y)
@@ -86,8 +80,7 @@ def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, p_star, jets, force):
             m.first, m.row_start, m.row, m.lower_start, m.lower, m.upper, m.lower_corner, m.upper_corner,
             m.inverse_diagonal, y,
         )  # fmt: skip
-        for k in range(len(ops.force.column)):
-            f = fma(-ops.force.value[k], double(load(y, ops.force.column[k], 0)), f)
+        _read_increment(ops, s, parts, readings)
 
         # velocity at t + dt, and what the next step starts from
         u, u_old = u_old, u
@@ -97,7 +90,7 @@ def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, p_star, jets, force):
             store(u, i, 0, new)
             extrapolate_row(ahead, new, old, e, d, i)
 
-        # pressure at t + dt (eq. 10, 11), and its part in the force
+        # pressure at t + dt (eq. 10, 11), and its part in what is read
         phi, phi_old = phi_old, phi
         divergence(ops.divergence.start, ops.divergence.column, ops.divergence.value, u, phi)
         m = ops.poisson
@@ -107,14 +100,49 @@ def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, p_star, jets, force):
         )  # fmt: skip
         for i in range(mf):
             store(p, i, 0, add(load(p, i, 0), double(load(phi, i, 0))))
-        x, z = low(f), high(f)
-        for k in range(len(ops.force_pressure.column)):
-            i = ops.force_pressure.column[k]
-            q = sub(load(p, i, 0), double(load(p_star, i, 0)))
-            x, z = fma(ops.force_pressure.value[k, 0], q, x), fma(ops.force_pressure.value[k, 1], q, z)
-        store(force, s, 0, mul(to_coefficient, x))
-        store(force, s, 1, mul(to_coefficient, z))
+        _read_pressure(ops, s, p, p_star, readings)
     return u, u_old, phi, phi_old
+
+
+@kernel
+def _read_residual(ops, s, parts, amplitudes, readings):
+    """What of the readings is known before the increment (eq. 14): residual, momentum and stretching of the wall."""
+    start, column, value = ops.residual.start, ops.residual.column, ops.residual.value
+    inputs = amplitudes.shape[1]
+    for r in range(len(ops.scale)):
+        f = splat(0.0, readings)
+        for k in range(start[r], start[r + 1]):
+            f = fma(value[k], double(load(parts, column[k], 0)), f)
+        for j in range(inputs):
+            q = load(amplitudes, s, j)
+            for k in range(inputs):
+                if ops.flux[r, j, k] != 0.0:
+                    f = add(f, mul(ops.flux[r, j, k], mul(q, load(amplitudes, s, k))))
+            f = fma(ops.wall[r, j], q, f)
+        store(readings, s, r, add(f, splat(ops.wall[r, inputs], readings)))
+
+
+@kernel
+def _read_increment(ops, s, parts, readings):
+    """What the increment adds to the readings."""
+    start, column, value = ops.increment.start, ops.increment.column, ops.increment.value
+    for r in range(len(ops.scale)):
+        f = load(readings, s, r)
+        for k in range(start[r], start[r + 1]):
+            f = fma(-value[k], double(load(parts, column[k], 0)), f)
+        store(readings, s, r, f)
+
+
+@kernel
+def _read_pressure(ops, s, p, p_star, readings):
+    """What the new pressure adds to the readings, which are then scaled to coefficients."""
+    start, column, value = ops.read_pressure.start, ops.read_pressure.column, ops.read_pressure.value
+    for r in range(len(ops.scale)):
+        f = load(readings, s, r)
+        for k in range(start[r], start[r + 1]):
+            i = column[k]
+            f = fma(value[k], sub(load(p, i, 0), double(load(p_star, i, 0))), f)
+        store(readings, s, r, mul(ops.scale[r], f))
 
 
 @kernel
@@ -124,26 +152,26 @@ def _ahead(ahead, u, u_old, i):
     return fma(ahead, sub(now, load(u_old, i, 0)), now)
 
 
-def advance(ops: Operators, state: State, jets: np.ndarray) -> tuple[State, np.ndarray]:
-    """Advance every flow of a block by len(jets) time steps.
+def advance(ops: Operators, state: State, amplitudes: np.ndarray) -> tuple[State, np.ndarray]:
+    """Advance every flow of a block by len(amplitudes) time steps.
 
-    jets: (steps, jets, lanes) flow rates held during each step, blowing positive. Consumes `state` (its arrays are
-    reused). Returns the new state and the coefficients (steps, 2, lanes): C_D and C_L = 2F / (rho U^2 D) of the force
-    on the body, drag positive downstream, lift positive up. A flow that is no longer finite stays in its lane and
-    harms nobody. Method: docs/numerics.md, eq. 4-14.
+    amplitudes: (steps, inputs, lanes), held during each step. Consumes `state` (its arrays are reused). Returns the new
+    state and what is read, (steps, functionals, lanes), in the order of `ops.functionals`; `readings` names it. A flow
+    that is no longer finite stays in its lane and harms nobody. Method: docs/numerics.md, eq. 4-14.
     """
-    steps, count, width = jets.shape
-    expected = (len(ops.case.jets), simd.numbers(state.u).shape[-1])
+    steps, count, width = amplitudes.shape
+    expected = (len(ops.inputs), simd.numbers(state.u).shape[-1])
     if (count, width) != expected:
-        raise ValueError(f"jets: expected (steps, {expected[0]}, {expected[1]}), got {jets.shape}; lanes are last")
-    flow_rates = simd.zeros((steps, count), width)
-    simd.numbers(flow_rates)[...] = jets
-    force = simd.zeros((steps, 2), width)
-    e, d, y = (simd.zeros((len(state.u), 1), 2 * width, ops.precision) for _ in range(3))
+        raise ValueError(
+            f"amplitudes: expected (steps, {expected[0]}, {expected[1]}), got {amplitudes.shape}; lanes are last"
+        )
+    given = simd.zeros((steps, count), width)
+    simd.numbers(given)[...] = amplitudes
+    found = simd.zeros((steps, len(ops.functionals)), width)
+    e, d = (simd.zeros((len(state.u), 1), 2 * width, ops.precision) for _ in range(2))
+    y = simd.zeros((len(state.u), 2), width, ops.precision)
     p_star = simd.zeros(state.p.shape, width, ops.precision)
-    u, u_old = simd.pairs(state.u), simd.pairs(state.u_old)
-    new, old, phi, phi_old = _advance(
-        ops.tables, u, u_old, state.p, state.phi, state.phi_old, e, d, y, p_star, flow_rates, force
-    )
+    u, u_old, room = simd.pairs(state.u), simd.pairs(state.u_old), (e, d, simd.pairs(y), y.reshape(-1, 1), p_star)
+    new, old, phi, phi_old = _advance(ops.tables, u, u_old, state.p, state.phi, state.phi_old, *room, given, found)
     state = State(new.view(state.u.dtype), old.view(state.u.dtype), state.p, phi, phi_old)
-    return state, simd.numbers(force)
+    return state, simd.numbers(found)

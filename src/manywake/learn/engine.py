@@ -32,6 +32,9 @@ class TimedOut(RuntimeError):
 class Engine(Protocol):
     """Computes functions of plain arguments, `slots` at a time."""
 
+    keeps_time: bool
+    """Whether a computation past its timeout is ended."""
+
     @property
     def slots(self) -> int:
         """How many computations run at once, now."""
@@ -56,6 +59,8 @@ class Threads:
     is not kept.
     """
 
+    keeps_time = False
+
     def __init__(self, slots: int):
         self.slots = slots
         self._pool = ThreadPoolExecutor(slots)
@@ -76,6 +81,8 @@ class Processes:
     Each slot is a pebble pool of one worker, for pebble's workers share a pipe and its lock: one killed while it sends
     a result would take the others with it. Workers end with the process that made them, however that one ends.
     """
+
+    keeps_time = True
 
     def __init__(self, slots: int):
         self.slots = slots
@@ -214,7 +221,7 @@ def _context():
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["__main__", "manywake.learn.rollout"])
+    context.set_forkserver_preload(["__main__", "manywake.learn.flows"])
     names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
     before = {name: os.environ.get(name) for name in names}
     os.environ.update(dict.fromkeys(names, "1"))

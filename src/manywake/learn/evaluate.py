@@ -2,18 +2,21 @@
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from manywake.env.task import ControlledFlow, Task
+from manywake.case.task import Task
+from manywake.env.control import ControlledFlows, drive
 from manywake.flow import baseline
 from manywake.flow.baseline import Baseline
 from manywake.flow.batch import Start
+from manywake.flow.store import Flow
 from manywake.learn import policy as policies
+from manywake.learn import tables
 from manywake.learn.engine import Engine
 from manywake.learn.policy import Policy
-from manywake.learn.rollout import JetFlows
 
 LONG_RUN = 4
 """Episode lengths of the long run, without reset."""
@@ -23,12 +26,13 @@ PHASES = 8
 
 @dataclass(frozen=True)
 class Control:
-    """What a controller achieves over a window. C = 2F / (rho U-bar^2 D).
+    """What a controller achieves over a window. C = 2F / (rho U^2 L).
 
     cd_uncontrolled: mean over whole periods of the same mesh and time step. cd_steady: C_D of the steady base flow.
     drag_reduction: (cd_uncontrolled - cd_controlled) / cd_uncontrolled. share_of_shedding_drag: (cd_uncontrolled -
-    cd_controlled) / (cd_uncontrolled - cd_steady). cl_rms, jet_rms: root mean squares about zero, the jet's in units
-    of its limit. diverged: the flow blew up, and the numbers mean nothing.
+    cd_controlled) / (cd_uncontrolled - cd_steady). cl_rms, amplitude_rms: root mean squares about zero, the amplitudes'
+    over all inputs in units of their limits. power: mean C_P = 2P / (rho U^3 L) of the inputs. reward: mean of an
+    action's. diverged: the flow blew up, and the numbers mean nothing.
     """
 
     cd_uncontrolled: float
@@ -38,17 +42,22 @@ class Control:
     share_of_shedding_drag: float
     cl_mean: float
     cl_rms: float
-    jet_rms: float
+    amplitude_rms: float
+    power: float
+    reward: float
     diverged: bool
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """c_d, c_l, jets: (steps, B), every solver step; jets is the first jet's flow rate. ends: the final states."""
+    """Every solver step of B flows: series of readings by name (steps, B), amplitudes (steps, inputs, B).
 
-    c_d: np.ndarray
-    c_l: np.ndarray
-    jets: np.ndarray
+    rewards: (actions, B). ends: the final states.
+    """
+
+    series: dict[str, np.ndarray]
+    amplitudes: np.ndarray
+    rewards: np.ndarray
     ends: list[Start]
 
 
@@ -59,6 +68,7 @@ class Evaluation:
     phases: the long run from eight phases of shedding, the start state first. trajectory: of all of them.
     """
 
+    flow: Flow
     episode: Control
     long_run: Control
     phases: list[Control]
@@ -72,41 +82,70 @@ class Evaluation:
             "phases": [_plain(control) for control in self.phases],
         }
 
+    def table(self) -> list[tuple[str, ...]]:
+        """Return what the deterministic policy achieves in second halves, the worst phase included."""
+        worst = min(self.phases, key=lambda control: -1.0 if control.diverged else control.drag_reduction)
+        windows = (self.episode, self.long_run, worst)
+        rows = [
+            (label, *("blew up" if window.diverged else format(getattr(window, name), style) for window in windows))
+            for name, label, style in (
+                ("cd_uncontrolled", "C_D uncontrolled", ".4f"),
+                ("cd_controlled", "C_D controlled", ".4f"),
+                ("drag_reduction", "drag reduction", ".2%"),
+                ("share_of_shedding_drag", "share of the shedding drag removed", ".1%"),
+                ("cl_mean", "C_L mean", "+.3f"),
+                ("cl_rms", "C_L rms", ".3f"),
+                ("amplitude_rms", "amplitude rms / limit", ".1%"),
+                ("power", "power C_P of the inputs", ".4f"),
+                ("reward", "reward of an action", ".4f"),
+            )
+        ]
+        return [("second halves, policy without noise", "one episode", "long run", f"worst of {PHASES} phases"), *rows]
+
+    def draw(self, folder: Path, tail: str) -> None:
+        """Draw the wake, and the learning curve where the folder has a table of episodes."""
+        from manywake import plots
+
+        if (folder / "episodes.csv").exists():
+            episodes = tables.columns(folder / "episodes.csv")
+            plots.learning_curve(episodes, self.flow.baseline, folder / "learning-curve.png")
+        end = self.trajectory.ends[0]
+        series = {name: part[:, 0] for name, part in self.trajectory.series.items()}
+        plots.wake(self.flow, end, series, self.trajectory.amplitudes[:, :, 0], folder / f"wake{tail}.png")
+
 
 def _plain(control: Control) -> dict[str, Any]:
     """Return the fields with None for what is not a number, as JSON wants it."""
     return {key: value if np.isfinite(value) else None for key, value in asdict(control).items()}
 
 
-def play(simulation: JetFlows, policy: Policy, starts: list[Start], actions: int) -> Trajectory:
-    """Run the deterministic policy from each start for a number of actions, without reset."""
-    flows = ControlledFlow(simulation.operators, simulation.baseline, simulation.task, len(starts))
+def play(
+    flow: Flow, task: Task, choose: Callable[[int, np.ndarray], np.ndarray], starts: list[Start], actions: int
+) -> Trajectory:
+    """Run a controller from each start for a number of actions, without reset; choose as in `control.drive`."""
+    flows = ControlledFlows(flow, task, len(starts))
     for column, start in enumerate(starts):
         flows.reset([column], start)
-    return drive(flows, lambda seen: policies.act(policy, seen)[:, 0], actions)
+    outcomes = [step.outcome for step in drive(flows, choose, actions)]
+    return Trajectory(
+        {name: np.concatenate([outcome.series[name] for outcome in outcomes]) for name in outcomes[0].series},
+        np.concatenate([outcome.amplitudes for outcome in outcomes]),
+        np.stack([outcome.reward for outcome in outcomes]),
+        [flows.batch.state(column) for column in range(len(starts))],
+    )
 
 
-def drive(
-    flows: ControlledFlow,
-    act: Callable[[np.ndarray], np.ndarray],
-    actions: int,
-    look: Callable[[ControlledFlow], None] = lambda flows: None,
-) -> Trajectory:
-    """Advance flows by a number of actions; act: observations (B, values) -> actions (B,). look: called after each."""
-    coefficients, jets = [], []
-    for _ in range(actions):
-        outcome = flows.act(act(flows.observe()))
-        coefficients.append(outcome.coefficients)
-        jets.append(outcome.jets)
-        look(flows)
-    record = np.concatenate(coefficients)
-    ends = [flows.flow.state(column) for column in range(flows.flow.flows)]
-    return Trajectory(record[:, 0], record[:, 1], np.concatenate(jets), ends)
+def _play_policy(simulation: Any, policy: Policy, starts: list[Start], actions: int) -> Trajectory:
+    """Play in a worker; simulation: `flows.Flows`, as it was shared."""
+    return play(simulation.flow, simulation.task, lambda t, seen: policies.act(policy, seen), starts, actions)
 
 
-def control(base: Baseline, task: Task, c_d: np.ndarray, c_l: np.ndarray, jets: np.ndarray) -> Control:
-    """Return the statistics of one window of C_D, C_L and jet flow rate, each (steps,)."""
-    cd0, steady, cd = base.shedding.cd_mean, base.cd_steady, float(np.mean(c_d))
+def control(base: Baseline, limits: np.ndarray, part: Trajectory, column: int) -> Control:
+    """Return the statistics of one flow over a window; limits: (inputs,)."""
+    missing = np.full(len(part.amplitudes), np.nan)
+    c_d, c_l, power = (part.series[n][:, column] if n in part.series else missing for n in ("c_d", "c_l", "power"))
+    cd0, steady = base.free.get("c_d", np.nan), base.steady.get("c_d", np.nan)
+    cd = float(np.mean(c_d))
     return Control(
         cd_uncontrolled=cd0,
         cd_controlled=cd,
@@ -115,37 +154,46 @@ def control(base: Baseline, task: Task, c_d: np.ndarray, c_l: np.ndarray, jets: 
         share_of_shedding_drag=(cd0 - cd) / (cd0 - steady),
         cl_mean=float(np.mean(c_l)),
         cl_rms=float(np.sqrt(np.mean(c_l**2))),
-        jet_rms=float(np.sqrt(np.mean(jets**2)) / task.max_flow_rate),
-        diverged=not np.isfinite(c_d).all(),
+        amplitude_rms=float(np.sqrt(np.mean((part.amplitudes[:, :, column] / limits) ** 2))),
+        power=float(np.mean(power)),
+        reward=float(np.mean(part.rewards[:, column])),
+        diverged=not np.isfinite(power).all(),
     )
 
 
-def evaluate(simulation: JetFlows, policy: Policy, engine: Engine) -> Evaluation:
-    """Evaluate a policy: `PHASES` long runs side by side, spread over the engine's slots."""
-    ops, base, task = simulation.operators, simulation.baseline, simulation.task
-    shared = engine.share(simulation)
-    starts = baseline.phases(ops, base, PHASES)
-    actions = LONG_RUN * task.actions_per_episode
+def window(whole: Trajectory, first: int, last: int) -> Trajectory:
+    """Return the part of a trajectory between two solver steps, and the rewards of the actions within."""
+    steps = len(whole.amplitudes) // len(whole.rewards)
+    return Trajectory(
+        {name: series[first:last] for name, series in whole.series.items()},
+        whole.amplitudes[first:last],
+        whole.rewards[first // steps : -(-last // steps)],
+        whole.ends,
+    )
+
+
+def evaluate(shared: Any, flow: Flow, task: Task, policy: Policy, engine: Engine) -> Evaluation:
+    """Evaluate a policy: `PHASES` long runs side by side, spread over the engine's slots.
+
+    shared: what stands for the simulation of this flow and task in the engine's calls.
+    """
+    base = flow.baseline
+    starts = baseline.phases(flow.operators, base, PHASES)
+    actions = LONG_RUN * task.actions
     share = -(-PHASES // engine.slots)
-    futures = [engine.submit(play, shared, policy, starts[k : k + share], actions) for k in range(0, PHASES, share)]
+    futures = [
+        engine.submit(_play_policy, shared, policy, starts[k : k + share], actions) for k in range(0, PHASES, share)
+    ]
     parts = [future.result() for future in futures]
     trajectory = Trajectory(
-        np.concatenate([part.c_d for part in parts], axis=1),
-        np.concatenate([part.c_l for part in parts], axis=1),
-        np.concatenate([part.jets for part in parts], axis=1),
+        {name: np.concatenate([part.series[name] for part in parts], axis=1) for name in parts[0].series},
+        np.concatenate([part.amplitudes for part in parts], axis=2),
+        np.concatenate([part.rewards for part in parts], axis=1),
         [end for part in parts for end in part.ends],
     )
-
-    def window(first: int, last: int, column: int) -> Control:
-        rows = slice(first, last)
-        return control(
-            base,
-            task,
-            trajectory.c_d[rows, column],
-            trajectory.c_l[rows, column],
-            trajectory.jets[rows, column],
-        )
-
-    steps, total = task.actions_per_episode * task.steps(ops.case.time_step), len(trajectory.c_d)
-    phases = [window(total // 2, total, column) for column in range(PHASES)]
-    return Evaluation(window(steps // 2, steps, 0), phases[0], phases, trajectory)
+    steps, total = task.actions * task.steps(flow.case.dt), len(trajectory.amplitudes)
+    limits = np.array([actuator.limit for actuator in flow.case.actuators])
+    late = window(trajectory, total // 2, total)
+    phases = [control(base, limits, late, column) for column in range(PHASES)]
+    episode = control(base, limits, window(trajectory, steps // 2, steps), 0)
+    return Evaluation(flow, episode, phases[0], phases, trajectory)

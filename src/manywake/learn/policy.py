@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from manywake.flow import disk, simd
 from manywake.flow.batch import widths
-from manywake.flow.kernels import kernel
-from manywake.flow.simd import fma, load, maximum, splat, store
+from manywake.machine import disk, simd
+from manywake.machine.compile import kernel
+from manywake.machine.simd import fma, load, maximum, splat, store
 
 HALF_LOG_TWO_PI = 0.9189385332046727  # a number and not a call, for the logarithms of two machines may differ
 NORMALISED_LIMIT = 10.0

@@ -13,11 +13,11 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import obs_as_tensor
 from stable_baselines3.common.vec_env import VecEnv
 
-from manywake.flow import disk
+from manywake.case.learning import Learning
 from manywake.learn.collect import Collector
 from manywake.learn.policy import NORMALISED_LIMIT, Policy
 from manywake.learn.rollout import Episode
-from manywake.learn.settings import Learning
+from manywake.machine import disk
 
 VARIANCE_FLOOR = 1e-8
 """Added to the variance of an observation before it is divided by its root."""

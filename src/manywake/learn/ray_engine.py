@@ -20,6 +20,8 @@ class Ray:
     and ends with `close()`.
     """
 
+    keeps_time = True
+
     def __init__(self, slots: int, address: str | None = None, cpus: float = 1.0):
         try:
             import ray

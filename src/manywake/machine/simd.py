@@ -44,7 +44,8 @@ def zeros(shape: tuple[int, ...], width: int, number: type = np.float64) -> np.n
 
 def numbers(array: np.ndarray) -> np.ndarray:
     """Return the lane array as plain numbers with the lane as last axis, sharing memory."""
-    return array.view(np.float64 if array.dtype.kind == "S" else np.float32).reshape(*array.shape, -1)
+    number: type = np.float64 if array.dtype.kind == "S" else np.float32
+    return array.view(number).reshape(*array.shape, array.dtype.itemsize // np.dtype(number).itemsize)
 
 
 def pairs(array: np.ndarray) -> np.ndarray:

@@ -1,0 +1,179 @@
+"""Training, evaluating and reopening runs from Python; the command line is made of these.
+
+    run = manywake.train(reynolds=120, seed=1)
+    print(manywake.evaluate(run).summary()["drag_reduction"])
+
+torch is loaded by the first call that needs it.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from manywake.case.case import Case
+from manywake.case.learning import Learning
+from manywake.case.task import Task
+from manywake.flow.baseline import Progress
+from manywake.learn import blocks, external, flows
+from manywake.learn.collect import usable_cores
+from manywake.learn.engine import Engine, Processes, Threads
+from manywake.learn.rollout import Evaluated, Simulation
+from manywake.learn.runs import Run
+from manywake.learn.settings import Collection, Settings
+from manywake.suite import load
+
+if TYPE_CHECKING:
+    from manywake.learn.train import Show, Trained
+
+
+@dataclass(frozen=True)
+class OpenRun:
+    """A run whose simulation is open: it can be resumed, evaluated and replayed."""
+
+    run: Run
+    simulation: Simulation
+
+    @property
+    def folder(self) -> Path:
+        """The run's folder."""
+        return self.run.folder
+
+
+def train(
+    case: str | Path | Case = load.DEFAULT,
+    task: Task | str | None = None,
+    *,
+    env: str | None = None,
+    learning: Learning | None = None,
+    collection: Collection | None = None,
+    seed: int = 0,
+    run: str | Path | None = None,
+    progress: Progress | None = None,
+    show: Show | None = None,
+    **overrides: Any,
+) -> OpenRun:
+    """Train a policy into a run folder, and return the run.
+
+    case, task, overrides: as in `manywake.choose`; the learner's settings too can be overridden by name. env: another
+    simulation in place of the case, module:factory or an id of Gymnasium. learning, collection: whole sets of settings.
+    run: the folder, runs/CASE-sSEED-DATE when not given. progress: called while a baseline is made. show: called with
+    each block of episodes that comes.
+    """
+    simulation: Simulation
+    if env is None:
+        chosen = load.choose(case, task, **overrides)
+        learning, name = learning or chosen.learning, chosen.definition.name
+        simulation = flows.open_flows(chosen, progress)
+    else:
+        horizon = overrides.pop("actions", external.HORIZON)
+        simulation, name = external.open_simulation(env, horizon, os.getcwd()), env
+        learning = replace(learning or Learning(), **overrides)
+    folder = Path(run) if run is not None else folder_for(name, seed)
+    train_into(folder, simulation, Settings(learning, collection or Collection(), seed), show)
+    return OpenRun(Run(folder), simulation)
+
+
+def folder_for(name: str, seed: int) -> Path:
+    """Return the folder of a run that was given none."""
+    plain = name.replace(":", "-").replace("/", "-")
+    return Path("runs") / f"{plain}-s{seed}-{time.strftime('%Y%m%d-%H%M%S')}"
+
+
+def train_into(folder: Path, simulation: Simulation, settings: Settings, show: Show | None = None) -> Trained:
+    """Train on any simulation, with the layout and the engine that the settings ask for."""
+    how = settings.collection
+    grid = layout(how, settings.learning.update_period)
+    with engine(how, grid) as where:  # its workers start while the learner is loaded
+        from manywake.learn import train
+
+        return train.train(folder, simulation, settings, where, grid, show or train.quiet)
+
+
+def resume(opened: OpenRun, show: Show | None = None, **where: Any) -> Trained:
+    """Go on with a training that was stopped or killed, to the same bits as if it had not been.
+
+    where: settings of `Collection` in place of the run's own, of those that change no result: engine, address, workers,
+    lanes, time_limit.
+    """
+    how, begun = opened.run.settings.collection, opened.run.layout
+    moved = "workers" in where or "lanes" in where
+    spread: dict[str, Any] = {} if moved else {"workers": begun.workers, "lanes": begun.lanes}
+    address = how.address if where.get("engine", how.engine) == "ray" else None
+    none = {"workers": None, "lanes": None, "address": address}
+    how = replace(how, **{**none, "envs": begun.environments, **spread, **where})
+    grid = layout(how, opened.run.settings.learning.update_period)
+    with engine(how, grid) as chosen:
+        from manywake.learn import train
+
+        return train.resume(opened.folder, opened.simulation, chosen, grid, show or train.quiet, how.time_limit)
+
+
+def evaluate(run: OpenRun | str | Path, checkpoint: str = "last", workers: int = 2) -> Evaluated:
+    """Return what a run's deterministic policy achieves. checkpoint: last or best. workers: threads that play it."""
+    from manywake.learn import checkpoints
+
+    opened = run if isinstance(run, OpenRun) else load_run(run)
+    where = Threads(workers)
+    try:
+        return opened.simulation.evaluate(checkpoints.policy(opened.run, checkpoint), where)
+    finally:
+        where.close()
+
+
+def load_run(
+    folder: str | Path,
+    case: str | Path | Case | None = None,
+    task: Task | str | None = None,
+    *,
+    env: str | None = None,
+    **overrides: Any,
+) -> OpenRun:
+    """Open a run folder; nothing in it is run, and no module or file that it names.
+
+    So a run of a user's own case wants `case` (and `task`, if it was made in Python) again, and compares it with what
+    the run recorded; one of another simulation wants `env`. overrides: those that were given as objects.
+    """
+    run = Run(Path(folder))
+    about = run.simulation
+    simulation: Simulation
+    if about["kind"] == external.KIND:
+        simulation = external.reopen(run.folder, about, env)
+        return OpenRun(run, simulation)
+    if case is None and not about["shipped"]:
+        raise ValueError(
+            f"case: {run.folder} was made with its user's own ({about['file'] or 'made in Python'}), which is not run "
+            "because a folder names it; give it again: --case FILE, or case=..., task=... in Python"
+        )
+    recorded = {name: value for name, value in about["overrides"].items() if not isinstance(value, dict)}
+    named = about["protocol"] if task is None else task
+    chosen = load.choose(case if case is not None else about["case"], named, **{**recorded, **overrides})
+    return OpenRun(run, flows.reopen(run.folder, about, chosen))
+
+
+def layout(how: Collection, period: int) -> blocks.Layout:
+    """Return how the environments are spread."""
+    return blocks.layout(how.envs, how.workers, how.lanes, period, usable_cores())
+
+
+@contextmanager
+def engine(how: Collection, grid: blocks.Layout) -> Iterator[Engine]:
+    """Give the engine that the settings ask for, and close it."""
+    made: Engine
+    if how.engine == "ray":
+        from manywake.learn.ray_engine import Ray
+
+        made = Ray(grid.workers, how.address, how.cpus_per_env)
+    elif how.engine == "processes":
+        made = Processes(grid.workers)
+    else:
+        made = Threads(1 if how.engine == "serial" else grid.workers)
+    try:
+        yield made
+    finally:
+        made.close()

@@ -1,0 +1,56 @@
+"""All that a case file says, as plain frozen data: the flow, the task, the learner's settings, the references.
+
+`from manywake.case import *` gives the words that a case file is written in.
+"""
+
+from dataclasses import replace
+
+from manywake.case.case import Case, Scales, Sizes
+from manywake.case.conditions import NoSlip, Outflow, Parabola, Stream
+from manywake.case.geometry import Box, Circle, Outline, Polygon, Smooth, grid, ring
+from manywake.case.inputs import Jet, Rotation
+from manywake.case.laws import Exponential, Held, Linear
+from manywake.case.learning import Learning
+from manywake.case.references import Forced, Settled, Statistic, Steady
+from manywake.case.schemes import BDF2, BDF2_MEAN, GODA
+from manywake.case.sensors import Pressure, Velocity
+from manywake.case.task import PAIR, Task, alike, balanced, pairs, twice_the_drag
+
+__all__ = [
+    "BDF2",
+    "BDF2_MEAN",
+    "Box",
+    "Case",
+    "Circle",
+    "Exponential",
+    "Forced",
+    "GODA",
+    "Held",
+    "Jet",
+    "Learning",
+    "Linear",
+    "NoSlip",
+    "Outflow",
+    "Outline",
+    "PAIR",
+    "Parabola",
+    "Polygon",
+    "Pressure",
+    "Rotation",
+    "Scales",
+    "Settled",
+    "Sizes",
+    "Smooth",
+    "Statistic",
+    "Steady",
+    "Stream",
+    "Task",
+    "Velocity",
+    "alike",
+    "balanced",
+    "grid",
+    "pairs",
+    "replace",
+    "ring",
+    "twice_the_drag",
+]

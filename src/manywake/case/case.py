@@ -1,0 +1,105 @@
+"""A case: one flow as data. Geometry, conditions, actuators, sensors, scales, sizes and scheme."""
+
+from dataclasses import dataclass
+
+from manywake.case import checks
+from manywake.case.conditions import Condition, Outflow
+from manywake.case.geometry import Body, Domain
+from manywake.case.inputs import Input
+from manywake.case.schemes import BDF2_MEAN, Scheme
+from manywake.case.sensors import Sensor
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What the Reynolds number and all coefficients are made with: Re = U L / nu, C = 2F / (rho U^2 L), rho = 1."""
+
+    length: float = 1.0
+    """L, the diameter of a cylinder, say."""
+    velocity: float = 1.0
+    """U, the mean inflow velocity, say."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes of the triangles, in units of the case's length. The defaults resolve the wake of a cylinder at Re 100."""
+
+    body: float = 0.048
+    """Length of the facets of a body."""
+    part_facets: int = 2
+    """Facets across a part of a body; two resolve a jet's flux to 0.22 % before scaling, one to 4 %."""
+    layers: int = 3
+    """Layers of quadrilaterals, cut into triangles, that lie around a body like the rings of an onion."""
+    layer_height: float = 0.034
+    """Height of the innermost layer."""
+    layer_growth: float = 1.25
+    """Height of a layer by that of the one within."""
+    wake: float = 0.155
+    """Behind the bodies."""
+    wake_axis: float | None = None
+    """Height of the wake's axis, about which it is finest; the bodies' middle when not given."""
+    far: float = 0.8
+    """Far from the bodies."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One two-dimensional incompressible flow. Lengths and times are in whatever unit the file chooses.
+
+    Raises ValueError at construction when parts do not fit together, with the remedy (`case.checks`).
+    """
+
+    reynolds: float
+    """Re = U L / nu, with the case's scales."""
+    domain: Domain
+    conditions: tuple[Condition | Outflow, ...]
+    bodies: tuple[Body, ...] = ()
+    actuators: tuple[Input, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
+    scales: Scales = Scales()
+    sizes: Sizes = Sizes()
+    scheme: Scheme = BDF2_MEAN
+    """Scheme of the time stepping, by its name."""
+    time_step: float | None = None
+    """Time step, in the case's unit of time; the scheme's own when not given."""
+    spin_up: float = 160.0
+    """Time from a kicked rest to the developed flow, in convective units L / U."""
+
+    def __post_init__(self) -> None:
+        for name in ("conditions", "bodies", "actuators", "sensors"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))  # lists come from keyword arguments
+        checks.check(self)
+
+    @property
+    def viscosity(self) -> float:
+        return self.scales.length * self.scales.velocity / self.reynolds
+
+    @property
+    def convective_time(self) -> float:
+        """L / U."""
+        return self.scales.length / self.scales.velocity
+
+    @property
+    def dt(self) -> float:
+        """The time step, in the case's unit of time."""
+        return self.scheme.time_step * self.convective_time if self.time_step is None else self.time_step
+
+    @property
+    def outlet(self) -> bool:
+        """Whether there is a boundary that anything can flow out through."""
+        return any(isinstance(condition, Outflow) for condition in self.conditions)
+
+    def body(self, name: str) -> Body | None:
+        """Return the body that a piece belongs to, None for a side of the domain."""
+        return next((body for body in self.bodies if body.name == name.partition(".")[0]), None)
+
+
+def readings(case: Case) -> tuple[str, ...]:
+    """Return the names of all readings: c_d, c_l, c_m in total and of each body, and the power of the inputs.
+
+    C = 2F / (rho U^2 L), force on the body, drag along x, lift along y; moment about the body's centre, over L too,
+    counter-clockwise positive. C_P = 2P / (rho U^3 L).
+    """
+    kinds = ("c_d", "c_l", "c_m") if case.bodies else ()
+    each = tuple(f"{kind}.{body.name}" for body in case.bodies for kind in kinds)
+    return (*kinds, *each, "power")

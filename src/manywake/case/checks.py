@@ -1,0 +1,146 @@
+"""What a case must fulfil: its parts fit together, or they are refused with got, wanted, remedy, before any meshing."""
+
+import math
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from manywake.case.conditions import Outflow
+from manywake.case.geometry import distance, inside, outline
+
+CLEAR = 1.002
+"""Points keep this factor away from a body, in its own radii: its facets are parabolas, a little off the curve."""
+
+
+def check(case: Any) -> None:
+    """Raise ValueError where the parts of a case do not fit together."""
+    _check_numbers(case)
+    _check_names(case)
+    _check_bodies(case)
+    _check_conditions(case)
+    _check_inputs(case)
+    _check_sensors(case)
+
+
+def _check_numbers(case: Any) -> None:
+    for name, value in (
+        ("reynolds", case.reynolds),
+        ("spin_up", case.spin_up),
+        ("scales.length", case.scales.length),
+        ("scales.velocity", case.scales.velocity),
+        ("sizes.body", case.sizes.body),
+        ("sizes.layer_height", case.sizes.layer_height),
+        ("sizes.layer_growth", case.sizes.layer_growth),
+        ("sizes.wake", case.sizes.wake),
+        ("sizes.far", case.sizes.far),
+        ("sizes.layers", case.sizes.layers),
+        ("sizes.part_facets", case.sizes.part_facets),
+    ):
+        if not (0 < value < math.inf):
+            raise ValueError(f"{name}: got {value:g}, wanted a positive number")
+    if case.reynolds > 400:
+        raise ValueError(
+            f"reynolds: got {case.reynolds:g}, wanted a value in (0, 400]; the flow is two-dimensional and laminar"
+        )
+    largest = case.scheme.largest * case.convective_time
+    if not 0 < case.dt <= largest * (1 + 1e-9):
+        raise ValueError(
+            f"time_step: got {case.dt:g}, wanted a value in (0, {largest:g}]; scheme {case.scheme.name!r} was never "
+            "stable above"
+        )
+
+
+def _check_names(case: Any) -> None:
+    sides = {side.name for side in case.domain.sides()}
+    names = [*sorted(sides), *(body.name for body in case.bodies)]
+    for kind, given in (("body", names), ("sensor", [sensor.name for sensor in case.sensors])):
+        for name, count in Counter(given).items():
+            if count > 1:
+                raise ValueError(f"{kind} {name!r}: got the name {count} times, wanted a name of its own for each")
+    for name in names:
+        if not name or "." in name and name not in sides:
+            raise ValueError(f"body {name!r}: wanted a name without a dot, which parts a body from its piece")
+
+
+def _check_bodies(case: Any) -> None:
+    height = case.scales.length * case.sizes.layer_height
+    height *= sum(case.sizes.layer_growth**k for k in range(int(case.sizes.layers)))
+    domain = np.array([side.start for side in case.domain.sides()])
+    outlines = {body.name: outline(body) for body in case.bodies}
+    for body in case.bodies:
+        xy = outlines[body.name]
+        if not np.isfinite(xy).all():
+            raise ValueError(f"body {body.name!r}: got points that are not finite")
+        x, y = xy.T
+        if (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() <= 0:
+            raise ValueError(f"body {body.name!r}: runs clockwise, wanted its points counter-clockwise")
+        if not inside(domain, xy).all() or distance(domain, xy).min() < height:
+            raise ValueError(
+                f"body {body.name!r}: reaches the domain's boundary or lies outside, wanted it inside with room for "
+                f"its layers, which are {height:g} high"
+            )
+    for k, body in enumerate(case.bodies):
+        for other in case.bodies[:k]:
+            a, b = outlines[other.name], outlines[body.name]
+            if inside(a, b).any() or inside(b, a).any() or distance(a, b).min() < 2 * height:
+                raise ValueError(
+                    f"body {body.name!r}: overlaps {other.name!r} or its layers, wanted {2 * height:g} between them"
+                )
+
+
+def _check_conditions(case: Any) -> None:
+    sides = list(dict.fromkeys(side.name for side in case.domain.sides()))
+    bodies = [body.name for body in case.bodies]
+    given: Counter[str] = Counter(name for condition in case.conditions for name in condition.on)
+    for name in given:
+        if name not in (*sides, *bodies):
+            raise ValueError(f"conditions: got {name!r}, wanted one of {', '.join((*sides, *bodies))}")
+    for name in (*sides, *bodies):
+        if given[name] > 1:
+            raise ValueError(f"conditions: {name!r} has {given[name]}, wanted exactly one")
+        if name in sides and not given[name]:
+            raise ValueError(f"conditions: {name!r} has none, wanted one, as NoSlip({name!r}) or Outflow({name!r})")
+
+
+def _check_inputs(case: Any) -> None:
+    pieces = Counter(piece.name for body in case.bodies for piece in body.pieces())
+    pieces.update(side.name for side in case.domain.sides())
+    free = {name for condition in case.conditions if isinstance(condition, Outflow) for name in condition.on}
+    for name, count in Counter(actuator.on for actuator in case.actuators).items():
+        if count > 1:
+            raise ValueError(f"actuators: got {count} on {name!r}, wanted at most one")
+    for actuator in case.actuators:
+        on, kind = actuator.on, type(actuator).__name__
+        if on not in pieces and case.body(on) is None or on not in pieces and "." in on:
+            raise ValueError(f"{kind}: got the piece {on!r}, which there is not; wanted one of {', '.join(pieces)}")
+        if on in free:
+            raise ValueError(f"{kind}: {on!r} is an open end, wanted a wall, where the velocity is given")
+        if not 0 < actuator.limit < math.inf:
+            raise ValueError(f"{kind}: got the limit {actuator.limit:g}, wanted a positive number")
+        if actuator.flux is not None and (on in {body.name for body in case.bodies} or pieces[on] > 1):
+            raise ValueError(f"{kind}: got {on!r}, wanted a single part of a body or a side, where it can blow")
+        if actuator.flux is None and case.body(on) is None or actuator.flux is None and "." in on:
+            raise ValueError(f"{kind}: got {on!r}, wanted the name of a body, as a whole")
+
+
+def _check_sensors(case: Any) -> None:
+    domain = np.array([side.start for side in case.domain.sides()])
+    for sensor in case.sensors:
+        points = np.array(sensor.points, dtype=float).reshape(-1, 2)
+        if not len(points):
+            raise ValueError(f"sensor {sensor.name!r}: got no points, wanted at least one")
+        within = np.isfinite(points).all(axis=1)
+        within[within] = inside(domain, points[within]) | (distance(domain, points[within]) < 1e-12)
+        where = np.where(within, "", "outside the domain")
+        for body in case.bodies:
+            centre = np.array(body.centre)
+            hit = inside(centre + CLEAR * (outline(body) - centre), points)
+            where = np.where(hit, f"inside {body.name!r}", where)
+        bad = np.flatnonzero(where != "")
+        if len(bad):
+            k = bad[0]
+            raise ValueError(
+                f"sensor {sensor.name!r}: point {k} is ({points[k, 0]:g}, {points[k, 1]:g}), which is {where[k]}; "
+                "wanted points in the fluid, a little off the bodies"
+            )

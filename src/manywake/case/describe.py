@@ -1,0 +1,75 @@
+"""Cases and tasks as plain data, for files and for hashes. A function counts by its values at fixed points."""
+
+import dataclasses
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from manywake.case.case import Case, readings
+from manywake.case.task import Task
+
+
+def plain(value: Any) -> Any:
+    """Return settings as what JSON can hold: data classes as their fields and kind, functions of angles as values."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return {"kind": type(value).__name__, **fields}
+    if isinstance(value, Mapping):
+        return {str(key): plain(part) for key, part in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain(part) for part in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if callable(value):
+        angles = np.linspace(0.0, 2 * np.pi, 37)[:-1]
+        return [[_digits(number) for number in point] for point in np.asarray(value(angles)).tolist()]
+    return value
+
+
+def case(chosen: Case) -> dict[str, Any]:
+    """Return all that a case says."""
+    return plain(chosen)
+
+
+def task(chosen: Case, task: Task) -> dict[str, Any]:
+    """Return all that a task says; its reward and its charge by their names and some values."""
+    fields = {field.name: getattr(task, field.name) for field in dataclasses.fields(task)}
+    reward, charge = fields.pop("reward"), fields.pop("charge")
+    free = {name: 3.0 - 0.5 * k for k, name in enumerate(readings(chosen))}
+    samples = [{name: math.sin(1.0 + k * (j + 2)) for j, name in enumerate(free)} for k in range(5)]
+    return plain(fields) | {
+        "reward": {"name": _name(reward), "values": [_digits(reward(now, free)) for now in samples]},
+        "charge": {"name": _name(charge), "values": [_digits(charge(reward, free, left)) for left in (1, 7)]},
+    }
+
+
+def digest(data: Any) -> str:
+    """Return a hash of plain data."""
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+
+
+def flow_digest(chosen: Case) -> str:
+    """Return a hash of all that decides the uncontrolled flow: the case but for sensors and limits."""
+    data = case(chosen)
+    del data["sensors"]
+    for actuator in data["actuators"]:
+        del actuator["limit"]
+    return digest(data | {"time_step": chosen.dt})
+
+
+def geometry_digest(chosen: Case) -> str:
+    """Return a hash of all that decides the mesh."""
+    data = case(chosen)
+    return digest({name: data[name] for name in ("domain", "bodies", "sizes")} | {"length": chosen.scales.length})
+
+
+def _name(function: Callable) -> str:
+    return getattr(function, "__name__", type(function).__name__)
+
+
+def _digits(number: float) -> float:
+    return float(f"{number:.10g}")

@@ -1,0 +1,51 @@
+"""The door of a task: one that does not fit its case is refused before anything is meshed."""
+
+import math
+
+import numpy as np
+
+from manywake.case import task as tasks
+from manywake.case.case import Case, readings
+from manywake.case.task import Task
+
+
+def check(case: Case, task: Task) -> None:
+    """Raise ValueError where a task does not fit its case."""
+    task.steps(case.dt)
+    if not case.actuators:
+        raise ValueError("actuators: got none, wanted at least one that the agent drives, as Jet or Rotation")
+    mixing = tasks.matrix(task, len(case.actuators))
+    known = (*(sensor.name for sensor in case.sensors), *readings(case), "amplitudes")
+    for name in task.observe:
+        if name not in known:
+            raise ValueError(f"observe: got {name!r}, wanted some of {', '.join(known)}")
+    if not task.observe:
+        raise ValueError(f"observe: got nothing, wanted some of {', '.join(known)}")
+    flux = np.array([actuator.flux or 0.0 for actuator in case.actuators])
+    net = flux * [actuator.limit for actuator in case.actuators] @ mixing
+    if not case.outlet and abs(net).max() > 1e-12:
+        raise ValueError(
+            f"mixing: got a net flux of up to {abs(net).max():g}, wanted none, as no boundary has an Outflow to let it "
+            "out; let what one jet blows in be sucked out by others (PAIR, pairs, balanced)"
+        )
+    _try_reward(case, task)
+
+
+def _try_reward(case: Case, task: Task) -> None:
+    if not callable(task.reward):
+        raise ValueError(f"reward: got {task.reward!r}, wanted a function reward(now, free)")
+    name = getattr(task.reward, "__name__", repr(task.reward))
+    free = dict.fromkeys(readings(case), 1.0)
+    now = {reading: 0.1 * (k + 1) for k, reading in enumerate(free)}
+    tried = {"reward": lambda: task.reward(now, free), "charge": lambda: task.charge(task.reward, free, 1)}
+    for what, call in tried.items():
+        try:
+            got = call()
+        except KeyError as error:
+            raise ValueError(
+                f"{what}: {name} asks for {error.args[0]!r}, wanted readings of this case: {', '.join(free)}"
+            ) from error
+        except Exception as error:
+            raise ValueError(f"{what}: {name} fails on finite readings ({type(error).__name__}: {error})") from error
+        if isinstance(got, bool) or not isinstance(got, (int, float)) or not math.isfinite(got):
+            raise ValueError(f"{what}: {name} returned {got!r}, wanted a finite number")

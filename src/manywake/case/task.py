@@ -1,0 +1,90 @@
+"""The control task on a flow: when to act, how actions become amplitudes, what is observed and what is rewarded."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from manywake.case.laws import Held, Law
+
+Means = Mapping[str, float]
+"""Readings by name, each a mean over one action."""
+Reward = Callable[[Means, Means], float]
+"""reward(now, free): of an action's readings and those of the uncontrolled flow."""
+Charge = Callable[[Reward, Means, int], float]
+"""charge(reward, free, left): what a flow that blew up is given, with `left` actions to go, that one included."""
+Mixing = tuple[tuple[float, ...], ...]
+
+PAIR: Mixing = ((1.0,), (-1.0,))
+"""One action for two inputs: what the first blows in the second sucks out."""
+
+
+def pairs(count: int) -> Mixing:
+    """Return the mixing of `count` pairs (1, 2), (3, 4), ...: an action for each pair, of zero net flux."""
+    return tuple(tuple(sign * (k == pair) for k in range(count)) for pair in range(count) for sign in (1.0, -1.0))
+
+
+def alike(count: int) -> Mixing:
+    """Return the mixing of one action that all `count` inputs follow."""
+    return ((1.0,),) * count
+
+
+def balanced(count: int) -> Mixing:
+    """Return the mixing of `count` actions whose mean is subtracted, so that the amplitudes have zero sum."""
+    return tuple(tuple((row == k) - 1.0 / count for k in range(count)) for row in range(count))
+
+
+def twice_the_drag(reward: Reward, free: Means, left: int) -> float:
+    """Charge as if the body had twice its uncontrolled drag, and nothing else, to the end of the episode."""
+    drag = {name: 2 * value if name.partition(".")[0] == "c_d" else 0.0 for name, value in free.items()}
+    return left * reward(drag, free)
+
+
+@dataclass(frozen=True)
+class Task:
+    """Settings of a control task. Times are in the case's unit."""
+
+    interval: float
+    """Time between actions, a multiple of the time step."""
+    actions: int
+    """Actions of an episode, its horizon."""
+    reward: Reward
+    """Function reward(now, free) of the readings by name, each a mean over the action, now and without control."""
+    observe: tuple[str, ...]
+    """What the agent sees, in this order: sensors by name, readings by name (c_d, c_l.front, power), amplitudes."""
+    mixing: Mixing | None = None
+    """Matrix from actions to amplitudes, a row an input; scaled so that no row's absolute sum exceeds 1. Without one
+    every input has an action of its own."""
+    law: Law = Held()
+    """How amplitudes follow what is wanted."""
+    charge: Charge = twice_the_drag
+    """What a flow that blew up is given, with which its episode ends."""
+
+    def __post_init__(self) -> None:
+        if self.actions < 2:
+            raise ValueError(f"actions: got {self.actions}, wanted at least 2")
+        if not self.interval > 0:
+            raise ValueError(f"interval: got {self.interval:g}, wanted a positive time")
+
+    def steps(self, time_step: float) -> int:
+        """Return the solver steps of an action; ValueError when the interval is no multiple of the time step."""
+        ratio = self.interval / time_step
+        steps = round(ratio) if math.isfinite(ratio) else 0
+        if steps < 1 or not math.isclose(ratio, steps, rel_tol=1e-9):
+            raise ValueError(
+                f"interval: got {self.interval:g}, wanted a multiple of the time step {time_step:g}; "
+                f"the nearest is {max(steps, 1) * time_step:g}"
+            )
+        return steps
+
+
+def matrix(task: Task, inputs: int) -> np.ndarray:
+    """Return the mixing (inputs, actions), scaled so that actions in [-1, 1] keep every input within its limit."""
+    rows = np.eye(inputs) if task.mixing is None else np.array(task.mixing, dtype=float)
+    if rows.ndim != 2 or len(rows) != inputs or not rows.any() or not np.isfinite(rows).all():
+        raise ValueError(
+            f"mixing: got a matrix of shape {rows.shape}, wanted {inputs} rows of finite numbers, one for each input, "
+            "and a column for each action"
+        )
+    return rows / max(abs(rows).sum(axis=1).max(), 1.0)

@@ -1,0 +1,1 @@
+"""The command line: manywake validate | baseline | train | resume | evaluate | replay | figure | bench."""

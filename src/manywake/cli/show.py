@@ -1,0 +1,112 @@
+"""What the commands show: bars while something long goes on, tables of numbers, JSON as the last line."""
+
+import json
+import time
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+console = Console(stderr=True)
+
+Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object as the last line.")]
+
+
+class Bar:
+    """Shows progress(what, share) as a bar for each work under way, and a line for each that was done meanwhile."""
+
+    def __init__(self) -> None:
+        self.progress = Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console)
+        self.tasks: dict[str, tuple[TaskID, float]] = {}
+
+    def __enter__(self) -> "Bar":
+        self.progress.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.progress.stop()
+
+    def __call__(self, what: str, share: float) -> None:
+        if share < 1.0:
+            if what not in self.tasks:
+                self.tasks[what] = self.progress.add_task(what, total=1.0), time.perf_counter()
+            self.progress.update(self.tasks[what][0], completed=share)
+        elif what in self.tasks:
+            task, begun = self.tasks.pop(what)
+            self.progress.remove_task(task)
+            say(f"{what}: {time.perf_counter() - begun:.0f} s")
+
+
+class Episodes:
+    """A bar of a training's episodes, with where the time goes and how the newest episodes were."""
+
+    def __init__(self, total: int, done: int):
+        self.progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[shares]}"),
+            TextColumn("{task.fields[numbers]}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=console,
+        )
+        self.bar = self.progress.add_task("episodes", total=total, completed=done, shares="", numbers="")
+
+    def show(self, episodes, shares, failures: int) -> None:
+        """Take a block of episodes; as `train.Show`."""
+        self.progress.update(
+            self.bar,
+            advance=len(episodes),
+            numbers=_numbers(episodes, failures),
+            shares=_shares(vars(shares)),
+        )
+
+
+def _numbers(episodes, failures: int) -> str:
+    whole = [episode for episode in episodes if not episode.terminated] or episodes
+    lost = f" lost {failures}" if failures else ""
+    if not all({"c_d", "c_l"} <= set(episode.readings) for episode in whole):
+        return f"reward {sum(e.rewards.sum() for e in whole) / len(whole):.4g}{lost}"
+    means = [sum(e.readings[name][len(e.rewards) // 2 :].mean() for e in whole) / len(whole) for name in ("c_d", "c_l")]
+    return f"C_D {means[0]:.3f} C_L {means[1]:+.3f}{lost}"
+
+
+def _shares(seconds: dict[str, float]) -> str:
+    total = sum(seconds.values())
+    return " ".join(f"{name} {value / total:.0%}" for name, value in seconds.items() if value > total / 200)
+
+
+def say(text: str) -> None:
+    """Print a line beside the bars, brackets and all."""
+    console.print(escape(text), highlight=False, soft_wrap=True)
+
+
+def table(rows: Sequence[tuple[str, ...]], title: str | None = None) -> None:
+    """Print rows, the first of them the heads of the columns."""
+    head, *rest = rows
+    shown = Table(*map(escape, head), title=title)
+    for row in rest:
+        shown.add_row(*map(escape, row))
+    Console().print(shown)
+
+
+def numbers(found: dict[str, Any], as_json: bool) -> None:
+    """Print named numbers as a table, or as JSON."""
+    if as_json:
+        print(json.dumps(found))
+        return
+    rows = [(key, f"{value:.6g}" if isinstance(value, float) else str(value)) for key, value in found.items()]
+    table([("", ""), *rows])

@@ -1,0 +1,148 @@
+"""Flows under a task: actions become amplitudes, readings become rewards. One loop drives a batch."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from gymnasium.spaces import Box
+
+from manywake.case import sensors
+from manywake.case import task as tasks
+from manywake.case.case import Case
+from manywake.case.task import Task
+from manywake.flow import readings
+from manywake.flow.batch import FlowBatch, Start
+from manywake.flow.store import Flow
+
+OBSERVATION_LIMIT = 100.0
+"""Bound of the observation space. The paper's uncontrolled pressures stay within 3, under full jets within 10."""
+NO_FLOW = 1e3
+"""A force coefficient past this is no flow any more: divergence shows in the forces first."""
+
+
+def spaces(case: Case, task: Task) -> tuple[Box, Box]:
+    """Return the observation and the action space of a single flow."""
+    counts = {sensor.name: sensors.values(sensor) for sensor in case.sensors} | {"amplitudes": len(case.actuators)}
+    values = sum(counts.get(name, 1) for name in task.observe)
+    actions = tasks.matrix(task, len(case.actuators)).shape[1]
+    return (
+        Box(-OBSERVATION_LIMIT, OBSERVATION_LIMIT, (values,), np.float32),
+        Box(-1.0, 1.0, (actions,), np.float32),
+    )
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one action brought.
+
+    reward, diverged, truncated: (B,). means: every reading by name, averaged over the action, (B,), NaN for a flow that
+    blew up. amplitude: (inputs, B), at the end of the action. series: every reading by name at every solver step,
+    (steps, B). amplitudes: (steps, inputs, B).
+    """
+
+    reward: np.ndarray
+    means: dict[str, np.ndarray]
+    amplitude: np.ndarray
+    diverged: np.ndarray
+    truncated: np.ndarray
+    series: dict[str, np.ndarray]
+    amplitudes: np.ndarray
+
+
+class ControlledFlows:
+    """B flows under one task: acts on all of them at once, and keeps what each input does."""
+
+    def __init__(self, flow: Flow, task: Task, flows: int):
+        self.flow, self.task, self.count = flow, task, flows
+        self.steps = task.steps(flow.case.dt)
+        self.batch = FlowBatch(flow.operators, flow.baseline.start, flows)
+        self.mixing = tasks.matrix(task, len(flow.case.actuators))
+        self.limits = np.array([actuator.limit for actuator in flow.case.actuators])
+        self.free = {name: float(value) for name, value in flow.baseline.free.items()}
+        self.amplitude = np.zeros((len(self.limits), flows))
+        self.wanted = np.zeros((len(self.limits), flows))
+        self.actions = np.zeros(flows, dtype=np.int64)
+        self.means = {name: np.full(flows, value) for name, value in self.free.items()}
+
+    def reset(self, columns: list[int] | np.ndarray, start: Start | None = None) -> None:
+        """Put columns back to their start state (or to `start`), with amplitudes and action count 0."""
+        self.batch.reset(columns, start)
+        self.amplitude[:, columns] = 0.0
+        self.wanted[:, columns] = 0.0
+        self.actions[columns] = 0
+        for name, value in self.free.items():
+            self.means[name][columns] = value
+
+    def observe(self) -> np.ndarray:
+        """Return what the task observes, (B, values) float32, finite and within the observation space.
+
+        Readings are means over the last action, those of the uncontrolled flow before the first. Amplitudes are in
+        units of their limits.
+        """
+        parts = []
+        for name in self.task.observe:
+            if name == "amplitudes":
+                parts.append((self.amplitude / self.limits[:, None]).T)
+            elif name in self.means:
+                parts.append(self.means[name][:, None])
+            else:
+                parts.append(self.batch.read(name))
+        raw = np.nan_to_num(np.concatenate(parts, axis=1), nan=0.0, posinf=0.0, neginf=0.0)
+        return np.clip(raw, -OBSERVATION_LIMIT, OBSERVATION_LIMIT).astype(np.float32)
+
+    def act(self, actions: np.ndarray) -> Outcome:
+        """Hold actions (B, actions), clipped to [-1, 1], for one action interval."""
+        dt = self.flow.case.dt
+        wanted = self.limits[:, None] * self._mixed(np.clip(actions.astype(np.float64), -1.0, 1.0))
+        amplitudes = self.task.law.series(self.steps, dt, self.amplitude, self.wanted, wanted)
+        read = self.batch.advance(amplitudes)
+        self.amplitude, self.wanted = amplitudes[-1].copy(), wanted
+        self.actions += 1
+        series = readings.named(self.flow.operators, read, amplitudes)
+        diverged = self._diverged(read, series)
+        means = readings.means({name: np.where(diverged, np.nan, part) for name, part in series.items()})
+        self.means = {name: part.copy() for name, part in means.items()}
+        truncated = (self.actions >= self.task.actions) & ~diverged
+        reward = np.array([self._reward(means, b, bool(diverged[b])) for b in range(self.count)])
+        return Outcome(reward, means, self.amplitude.copy(), diverged, truncated, series, amplitudes)
+
+    def _mixed(self, actions: np.ndarray) -> np.ndarray:
+        """Return the amplitudes over their limits (inputs, B), summed in order so that no bit depends on B."""
+        mixed = np.zeros((len(self.mixing), len(actions)))
+        for k in range(self.mixing.shape[1]):
+            mixed = mixed + self.mixing[:, k, None] * actions[None, :, k]
+        return mixed
+
+    @staticmethod
+    def _diverged(read: np.ndarray, series: dict[str, np.ndarray]) -> np.ndarray:
+        forces = [part for name, part in series.items() if name.startswith(("c_d.", "c_l."))]
+        bounded = [(np.abs(part) < NO_FLOW).all(axis=0) for part in forces]
+        return ~np.logical_and.reduce([*bounded, np.isfinite(read).all(axis=(0, 1))])
+
+    def _reward(self, means: dict[str, np.ndarray], b: int, diverged: bool) -> float:
+        """Return one flow's reward: of its readings as plain numbers, or, where it blew up, what its task charges."""
+        if diverged:
+            left = int(self.task.actions - self.actions[b]) + 1
+            return float(self.task.charge(self.task.reward, self.free, left))
+        return float(self.task.reward({name: float(part[b]) for name, part in means.items()}, self.free))
+
+
+@dataclass(frozen=True)
+class Step:
+    """One action of `drive`: what was seen before it (B, values), what was done, what it brought, what is seen now."""
+
+    observation: np.ndarray
+    action: np.ndarray
+    outcome: Outcome
+    after: np.ndarray
+
+
+def drive(flows: ControlledFlows, choose: Callable[[int, np.ndarray], np.ndarray], actions: int) -> Iterator[Step]:
+    """Advance flows by a number of actions; choose(t, observations (B, values)) -> actions (B, actions)."""
+    seen = flows.observe()
+    for t in range(actions):
+        action = choose(t, seen)
+        outcome = flows.act(action)
+        step = Step(seen, action, outcome, flows.observe())
+        yield step
+        seen = step.after

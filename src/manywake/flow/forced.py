@@ -1,0 +1,156 @@
+"""Controlled flows against the same on a mesh twice as fine at half the time step: the change that the inputs make."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manywake.case.geometry import inside, outline
+from manywake.case.references import Forced
+from manywake.case.schemes import BDF2, GODA
+from manywake.flow import baseline, problem, readings
+from manywake.flow import mesh as meshes
+from manywake.flow import space as spaces
+from manywake.flow.baseline import Progress
+from manywake.flow.batch import FlowBatch, Start
+from manywake.flow.operators import Operators
+from manywake.flow.space import Space
+from manywake.flow.store import Flow
+from manywake.machine import disk
+
+FREE = "no control"
+
+
+def names(reference: Forced) -> list[str]:
+    """Return what the forcings are called, no control first."""
+    sines = [f"Q = {a:g} sin(2 pi {f:g} t)" for a, f, _ in reference.harmonic]
+    return [FREE, *(f"Q = {a:g}" for a in reference.steady), *sines]
+
+
+def _columns(reference: Forced, t: np.ndarray) -> list[list[np.ndarray]]:
+    """Return the amplitudes (steps,) of the first input under each forcing, a flow each."""
+    sines = [
+        [a * np.sin(2 * np.pi * (f * t + k / phases)) for k in range(phases)] for a, f, phases in reference.harmonic
+    ]
+    return [[0.0 * t], *([0.0 * t + a] for a in reference.steady), *sines]
+
+
+def run(
+    ops: Operators, start: Start, reference: Forced, mixing: np.ndarray, report: Progress, what: str
+) -> dict[str, np.ndarray]:
+    """Run all forcings side by side; return the readings by name, (steps, B). mixing: (inputs,) of the first action."""
+    dt = ops.time_step
+    t = dt * np.arange(1, round(reference.duration / dt) + 1)
+    first = np.stack([series for columns in _columns(reference, t) for series in columns], axis=1)
+    amplitudes = np.stack([share / mixing[0] * first for share in mixing], axis=1)
+    flow = FlowBatch(ops, start, first.shape[1])
+    record = []
+    for k in range(0, len(t), 1000):
+        report(what, k / len(t))
+        chunk = amplitudes[k : k + 1000]
+        record.append(readings.named(ops, flow.advance(chunk), chunk))
+    return {name: np.concatenate([part[name] for part in record]) for name in ("c_d", "c_l")}
+
+
+def changes(record: dict[str, np.ndarray], reference: Forced, time_step: float) -> dict[str, dict[str, float]]:
+    """Return the change by each forcing of mean C_D and of C_L: its mean where the amplitude is held, else its rms.
+
+    Means are over all that follows `settle`, weighted by sin^4, and over the columns of a forcing: the window's ends
+    are smooth, so that no shedding period need be known.
+    """
+    first = round(reference.settle / time_step)
+    c_d, c_l = record["c_d"][first:], record["c_l"][first:]
+    w = np.sin(np.pi * (np.arange(len(c_d)) + 0.5) / len(c_d)) ** 4
+    w /= w.sum()
+    drag, lift, square = w @ c_d, w @ c_l, w @ c_l**2
+    table, column = {}, 0
+    for name, columns in zip(names(reference), _columns(reference, np.zeros(1)), strict=True):
+        mine = slice(column, column + len(columns))
+        column += len(columns)
+        values = {"mean C_D": float(drag[mine].mean()), "mean C_L": float(lift[mine].mean())}
+        values["rms C_L"] = float(np.sqrt(square[mine].mean()))
+        table[name] = values
+    free = table.pop(FREE)
+    return {
+        name: {key: values[key] - free[key] for key in ("mean C_D", "rms C_L" if "sin" in name else "mean C_L")}
+        for name, values in table.items()
+    }
+
+
+def fine(flow: Flow, reference: Forced, mixing: np.ndarray, report: Progress) -> dict[str, Any]:
+    """Compute the controlled flows on the refined mesh at half the time step, second order in time (10 minutes)."""
+    case, ops, base = flow.case, flow.operators, flow.baseline
+    mesh = meshes.refine(base.mesh)
+    scheme = BDF2 if case.scheme == GODA else case.scheme
+    chosen = replace(case, time_step=case.dt / 2, scheme=scheme)
+    posed = problem.pose(chosen, mesh)
+    refined = baseline.assemble(chosen, posed, moved(ops.space, posed.space.x) @ base.mean)
+    start = interpolate(ops.space, base.start, refined)
+    record = run(refined, start, reference, mixing, report, "fine reference")
+    return {
+        "recipe": (
+            f"manywake.flow.forced.fine: every triangle of the mesh cut into four ({len(mesh.triangles)} "
+            f"triangles), time step {chosen.dt:g}, {scheme.name}; the case's start state interpolated, then "
+            f"{reference.duration:g} units of time; changes are means with a sin^4 window over all but the first "
+            f"{reference.settle:g}"
+        ),
+        **_identity(flow, reference),
+        "changes": changes(record, reference, chosen.dt),
+    }
+
+
+def kept(flow: Flow, reference: Forced, path: Path) -> dict[str, Any]:
+    """Read a fine reference that was kept; ValueError when there is none, or not one of this flow."""
+    if not path.exists():
+        raise ValueError(f"fine reference: {path} is not there; make one with: manywake validate --recompute")
+    found = json.loads(path.read_text())
+    for key, wanted in _identity(flow, reference).items():
+        if found[key] != wanted:
+            raise ValueError(
+                f"fine reference: got one for {key} {found[key]}, wanted {wanted}; "
+                "make one for this flow with: manywake validate --recompute (some ten minutes)"
+            )
+    return found
+
+
+def write(path: Path, found: dict[str, Any]) -> None:
+    """Write a fine reference, to be kept beside the case's file."""
+    disk.write(path, lambda file: file.write(json.dumps(found, indent=1).encode()))
+
+
+def _identity(flow: Flow, reference: Forced) -> dict[str, Any]:
+    return {
+        "mesh": flow.baseline.mesh.digest(),
+        "reynolds": flow.case.reynolds,
+        "time_step": flow.case.dt,
+        "duration": reference.duration,
+        "settle": reference.settle,
+        "forcings": names(reference),
+    }
+
+
+def interpolate(space: Space, start: Start, fine: Operators) -> Start:
+    """Return a state on the refined mesh at half the time step, with the fine mesh's boundary values, no control."""
+    velocity = moved(space, fine.space.x)
+    pressure = spaces.probe_matrix(space.pressure, _inside(space, fine.space.mesh.points))
+    u, u_old = velocity @ start.u, velocity @ (0.5 * (start.u + start.u_old))
+    for part in (u, u_old):
+        part[fine.velocity_order[fine.free :]] = fine.tables.fixed
+    return Start(u, u_old, pressure @ start.p, pressure @ start.phi / 2, pressure @ start.phi_old / 2)
+
+
+def moved(space: Space, points: np.ndarray):
+    """Return the matrix that interpolates velocities at the nodes of a refined mesh, (k, 2)."""
+    return spaces.probe_matrix(space.velocity, _inside(space, points))
+
+
+def _inside(space: Space, points: np.ndarray) -> np.ndarray:
+    """Return points (k, 2) with those on a body moved off it, where rounding cannot put them into the body."""
+    out = points.copy()
+    for body in {body.name: body for body in space.mesh.curves.values()}.values():
+        centre = np.array(body.centre)
+        on = inside(centre + 1.0002 * (outline(body) - centre), points)
+        out[on] = centre + (1 + 1e-6) * (points[on] - centre)
+    return out

@@ -1,0 +1,62 @@
+"""Statistics of a force signal over whole periods of shedding."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Shedding:
+    """Statistics of C_D and C_L over whole shedding periods; C = 2F / (rho U^2 L)."""
+
+    cd_mean: float
+    cd_max: float
+    cd_min: float
+    cl_mean: float
+    cl_max: float
+    cl_min: float
+    cl_rms: float
+    period: float
+    periods: int
+
+    def strouhal(self, convective_time: float) -> float:
+        """St = L / (U T), of the time L / U."""
+        return convective_time / self.period
+
+
+def _crossings(c_l: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the steps after which C_L crosses the middle between its extremes upwards, and that middle."""
+    level = 0.5 * (c_l.max() + c_l.min())
+    above = c_l >= level
+    up = np.flatnonzero(~above[:-1] & above[1:])
+    if len(up) < 3:
+        raise ValueError(f"shedding: got {max(len(up) - 1, 0)} whole periods, wanted at least 2; record for longer")
+    return up, level
+
+
+def whole_periods(c_l: np.ndarray) -> slice:
+    """Return the steps between the first and the last upward crossing of C_L's mid-range; ValueError as `shedding`."""
+    up, _ = _crossings(c_l)
+    return slice(int(up[0]) + 1, int(up[-1]) + 1)
+
+
+def shedding(c_d: np.ndarray, c_l: np.ndarray, time_step: float) -> Shedding:
+    """Return the statistics of a signal (steps,) between the first and the last upward crossing of C_L's mid-range.
+
+    cl_rms is the root mean square about zero. Raises ValueError when there are fewer than two whole periods.
+    """
+    up, level = _crossings(c_l)
+    crossing = up + (level - c_l[up]) / (c_l[up + 1] - c_l[up])
+    whole = whole_periods(c_l)
+    d, lift = c_d[whole], c_l[whole]
+    return Shedding(
+        float(d.mean()),
+        float(d.max()),
+        float(d.min()),
+        float(lift.mean()),
+        float(lift.max()),
+        float(lift.min()),
+        float(np.sqrt(np.mean(lift**2))),
+        float((crossing[-1] - crossing[0]) / (len(up) - 1) * time_step),
+        len(up) - 1,
+    )

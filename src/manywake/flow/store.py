@@ -1,0 +1,93 @@
+"""Flows ready to run: their baselines are shipped, cached, or made and cached; their operators assembled."""
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from threading import Lock
+
+from filelock import FileLock
+from platformdirs import user_cache_path
+
+from manywake.case import describe
+from manywake.case.case import Case
+from manywake.flow import baseline, problem
+from manywake.flow.baseline import FORMAT, Baseline, Progress
+from manywake.flow.mesh import Mesh
+from manywake.flow.operators import Operators
+
+KEPT = 2
+"""Assembled flows that a process keeps, the ones used last."""
+
+
+@dataclass(frozen=True)
+class Flow:
+    """A flow that can be advanced: what it is, its operators, and what it starts from."""
+
+    case: Case
+    operators: Operators
+    baseline: Baseline
+
+
+def shipped() -> list[Path]:
+    """Return the baselines that the package keeps."""
+    return sorted(Path(str(files("manywake") / "suite")).glob("*.npz"))
+
+
+def cache_path(case: Case) -> Path:
+    """Return where the user's cache keeps the baseline of this case."""
+    return user_cache_path("manywake") / "baselines" / f"{FORMAT}-{describe.flow_digest(case)[:32]}.npz"
+
+
+def get(case: Case, progress: Progress | None = None) -> Baseline:
+    """Return the baseline of a case: the shipped one, else the cached one, else one made now and cached.
+
+    Safe when two processes want it at once: one makes it, the other waits and reads it. A geometry that a shipped
+    case has already is not meshed again.
+    """
+    wanted = describe.flow_digest(case)
+    about = {path: baseline.description(path) for path in shipped()}
+    for path, numbers in about.items():
+        if numbers.get("flow_digest") == wanted:
+            return baseline.load(path, case)
+    path = cache_path(case)
+    if path.exists():
+        return baseline.load(path, case)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        held = FileLock(str(path) + ".lock").acquire()
+    except OSError as error:
+        raise RuntimeError(
+            f"cache: cannot write {path.parent} ({error}); wanted a folder to keep the start state of this case in; "
+            "make it writable or set XDG_CACHE_HOME to one that is"
+        ) from error
+    with held:
+        if not path.exists():
+            baseline.save(baseline.make(case, _mesh(case, about), progress), path)
+    return baseline.load(path, case)
+
+
+def _mesh(case: Case, about: dict[Path, dict]) -> Mesh | None:
+    """Return a mesh of the case's geometry from the shipped baselines, or from those in the cache."""
+    cached = {path: baseline.description(path) for path in cache_path(case).parent.glob(f"{FORMAT}-*.npz")}
+    for path, numbers in (about | cached).items():
+        if numbers.get("geometry_digest") == describe.geometry_digest(case):
+            return baseline.read(path, case).mesh
+    return None
+
+
+_flows: OrderedDict[str, Flow] = OrderedDict()
+_assembling = Lock()
+
+
+def flow(case: Case, progress: Progress | None = None) -> Flow:
+    """Return a case's flow; the last `KEPT` of them stay assembled."""
+    key = describe.digest(describe.case(case))
+    with _assembling:
+        if key not in _flows:
+            base = get(case, progress)
+            _flows[key] = Flow(case, baseline.assemble(case, problem.pose(case, base.mesh), base.mean), base)
+            while len(_flows) > KEPT:
+                _flows.popitem(last=False)
+        _flows.move_to_end(key)
+        return _flows[key]

@@ -1,0 +1,106 @@
+"""Checkpoints: the policy as a plain SB3 zip with what is needed to go on, written whole, read without code."""
+
+import dataclasses
+import io
+import json
+import pickle
+import zipfile
+import zlib
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from manywake.learn import policy as policies
+from manywake.learn import ppo
+from manywake.learn.policy import Policy
+from manywake.learn.ppo import EpisodicPPO
+from manywake.learn.runs import Run
+from manywake.machine import disk
+
+MILESTONES = ("0.05", "0.07", "0.075")
+"""Gains whose first episode is written down: drag reductions, for a flow."""
+
+
+@dataclass
+class Progress:
+    """What of a training is neither policy nor optimiser: kept in the checkpoint, to go on from there."""
+
+    version: int = 0
+    pending: list[tuple[int, int]] = dataclasses.field(default_factory=list)
+    wall_s: float = 0.0
+    best: float = -np.inf
+    best_version: int = 0
+    burst: int = 0
+    reached: dict[str, tuple[int, float] | None] = dataclasses.field(default_factory=lambda: dict.fromkeys(MILESTONES))
+
+
+def save(model: EpisodicPPO, progress: Progress, run: Run, name: str) -> None:
+    """Write a plain SB3 zip, with what else is needed to go on, whole or not at all."""
+    buffer = io.BytesIO()
+    model.save(buffer)
+    with zipfile.ZipFile(buffer, "a") as archive:
+        archive.writestr("manywake.json", json.dumps(asdict(progress)))
+    disk.write(run.checkpoints / f"{name}.zip", lambda file: file.write(buffer.getvalue()))
+
+
+def checkpoint(run: Run, model: EpisodicPPO, progress: Progress) -> None:
+    """Write the policy version and the newest checkpoint; the one before stays as previous.zip."""
+    policies.write(ppo.snapshot(model), run.version_path(model.version))
+    last = run.checkpoints / "last.zip"
+    if last.exists():
+        last.replace(run.checkpoints / "previous.zip")
+    save(model, progress, run, "last")
+
+
+def policy(run: Run, name: str = "last") -> Policy:
+    """Return the policy of a checkpoint (last or best). Only tensors are read from the zip, no pickle."""
+    path = run.checkpoints / f"{name}.zip"
+    if not path.exists():
+        raise ValueError(
+            f"checkpoint: {path} is not there; wanted one of {sorted(p.stem for p in path.parent.glob('*.zip'))}"
+        )
+    with zipfile.ZipFile(path) as archive:
+        return ppo.from_state(_tensors(archive, "policy.pth"))
+
+
+def _tensors(archive: zipfile.ZipFile, name: str) -> dict[str, Any]:
+    with archive.open(name) as file:
+        return torch.load(file, weights_only=True)
+
+
+def newest(run: Run) -> tuple[str, Progress, dict[str, Any], dict[str, Any]]:
+    """Return name, progress, weights and the optimiser's state of the newest checkpoint that is whole.
+
+    Tensors and plain data are read, no code. Raises ValueError when there is none.
+    """
+    problems = []
+    for name in ("last", "previous"):
+        path = run.checkpoints / f"{name}.zip"
+        try:
+            with zipfile.ZipFile(path) as archive:
+                bad = archive.testzip()
+                if bad is not None:
+                    raise zipfile.BadZipFile(f"{bad} is damaged")
+                data = json.loads(archive.read("manywake.json"))
+                weights, moments = _tensors(archive, "policy.pth"), _tensors(archive, "policy.optimizer.pth")
+        except (OSError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, pickle.UnpicklingError) as error:
+            problems.append(f"{path.name}: {error}")
+            continue
+        data["pending"] = [tuple(pair) for pair in data["pending"]]
+        return name, Progress(**data), weights, moments
+    raise ValueError(f"run: {run.folder} has no whole checkpoint ({'; '.join(problems)}); it must be trained anew")
+
+
+def restore(run: Run, model: EpisodicPPO) -> Progress:
+    """Put the newest whole checkpoint into a model; return its progress."""
+    name, progress, weights, moments = newest(run)
+    if name == "previous":  # a damaged last would be put in the place of the whole one by the next checkpoint
+        (run.checkpoints / "last.zip").unlink(missing_ok=True)
+    model.policy.load_state_dict(weights)
+    model.policy.optimizer.load_state_dict(moments)
+    model.version = progress.version
+    model.num_timesteps = progress.version * model.learning.update_period * model.collector.simulation.horizon
+    model._n_updates = progress.version * model.learning.n_epochs
+    return progress
