@@ -150,9 +150,8 @@ def load_run(
             f"case: {run.folder} was made with its user's own ({about['file'] or 'made in Python'}), which is not run "
             "because a folder names it; give it again: --case FILE, or case=..., task=... in Python"
         )
-    recorded = {name: value for name, value in about["overrides"].items() if not isinstance(value, dict)}
     named = about["protocol"] if task is None else task
-    chosen = load.choose(case if case is not None else about["case"], named, **{**recorded, **overrides})
+    chosen = load.choose(case if case is not None else about["name"], named, **{**about["overrides"], **overrides})
     return OpenRun(run, flows.reopen(run.folder, about, chosen))
 
 

@@ -12,6 +12,9 @@ from manywake.case.geometry import distance, inside, outline
 CLEAR = 1.002
 """Points keep this factor away from a body, in its own radii: its facets are parabolas, a little off the curve."""
 
+FASTEST = 10.0
+"""Largest velocity of an input, in the case's units; the time steps that a scheme allows are not stable far above."""
+
 
 def check(case: Any) -> None:
     """Raise ValueError where the parts of a case do not fit together."""
@@ -122,6 +125,28 @@ def _check_inputs(case: Any) -> None:
             raise ValueError(f"{kind}: got {on!r}, wanted a single part of a body or a side, where it can blow")
         if actuator.flux is None and case.body(on) is None or actuator.flux is None and "." in on:
             raise ValueError(f"{kind}: got {on!r}, wanted the name of a body, as a whole")
+        speed, fastest = _speed(case, actuator), FASTEST * case.scales.velocity
+        if actuator.limit * speed > fastest:
+            raise ValueError(
+                f"{kind}: got the limit {actuator.limit:g}, wanted at most {fastest / speed:g}, at which {on!r} moves "
+                f"the fluid {FASTEST:g} times as fast as the case's velocity"
+            )
+
+
+def _speed(case: Any, actuator: Any) -> float:
+    """Return the largest velocity of an input at amplitude 1."""
+    body, chart = case.body(actuator.on), None
+    if body is None:
+        side = next(side for side in case.domain.sides() if side.name == actuator.on)
+        x = np.linspace(side.start, side.end, 33)
+        chart = side.chart(x)
+    elif actuator.on == body.name:
+        x = outline(body)
+    else:
+        piece = next(piece for piece in body.pieces() if piece.name == actuator.on)
+        x = body.point(np.linspace(piece.start, piece.end, 33)[:-1])
+        chart = body.chart(piece, x)
+    return float(np.linalg.norm(actuator.velocity(body, chart, x), axis=1).max())
 
 
 def _check_sensors(case: Any) -> None:

@@ -1,15 +1,13 @@
 """Where things are: closed curves for bodies, an outline for the domain, and their pieces by name.
 
-A body is a closed curve, run through counter-clockwise. Its pieces have names: "cylinder" is what no part covers,
-"cylinder.top" a part. Sides of the domain have no prefix. Only this module and the mesh know coordinates; all else
-names pieces.
+A body is a closed curve, run through counter-clockwise by a parameter of its own. Its pieces have names: "cylinder" is
+what no part covers, "cylinder.top" a part. Sides of the domain have no prefix. Only this module and the mesh know
+coordinates; all else names pieces.
 """
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -39,33 +37,6 @@ class Chart:
     outward: np.ndarray
 
 
-class Body(Protocol):
-    """A closed curve around what is solid."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def straight(self) -> bool:
-        """Whether its facets are, too."""
-
-    @property
-    def centre(self) -> Point:
-        """What a rotation turns about, and the torque is about."""
-
-    def pieces(self) -> list[Piece]:
-        """Return all pieces in their order around the curve."""
-
-    def point(self, parameter: np.ndarray, height: float = 0.0) -> np.ndarray:
-        """Return points (k, 2) of the curve, or of one that lies `height` outside of it."""
-
-    def between(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Return the points (k, 2) of the curve in the middle between its points a and b (k, 2)."""
-
-    def chart(self, piece: Piece, x: np.ndarray) -> Chart:
-        """Return where points (k, 2) of a piece are."""
-
-
 def grid(xs: tuple[float, ...], ys: tuple[float, ...]) -> tuple[Point, ...]:
     """Return all points of a grid, those of one x after those of another."""
     return tuple((x, y) for x in xs for y in ys)
@@ -78,50 +49,54 @@ def ring(radius: float, count: int, centre: Point = (0.0, 0.0)) -> tuple[Point, 
     return tuple((round(x, 10), round(y, 10)) for x, y in points)  # the same on every libm
 
 
-def _cut(name: str, parts: Mapping[str, tuple[float, float]]) -> list[Piece]:
-    """Return the pieces of a curve with a parameter in degrees, from its parts (start, end); ValueError on overlaps."""
-    if not parts:
-        return [Piece(name, 0.0, 360.0)]
-    named = sorted((start, end, part) for part, (start, end) in parts.items())
-    following = [*(start for start, _, _ in named[1:]), named[0][0] + 360.0]
-    pieces = []
-    for (start, end, part), after in zip(named, following, strict=True):
-        if not 0 < end - start < 360 or end > after:
-            raise ValueError(
-                f"body {name!r}: got the part {part!r} from {start:g} to {end:g} degrees, wanted a rising range "
-                "that meets no other part"
-            )
-        pieces.append(Piece(f"{name}.{part}", start, end))
-        if after > end:
-            pieces.append(Piece(name, end, after))
-    return pieces
-
-
 @dataclass(frozen=True)
-class Circle:
-    """A circle. Its parameter, and that of its parts (start, end), is the angle in degrees from downstream."""
+class _Round:
+    """A curve whose parameter, and that of its parts (start, end), is an angle in degrees."""
 
     name: str
-    centre: Point
-    radius: float
-    parts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    parts: Mapping[str, tuple[float, float]] = field(default_factory=dict, kw_only=True)
     straight = False
 
     def pieces(self) -> list[Piece]:
-        return _cut(self.name, self.parts)
+        """Return all pieces in their order around the curve; ValueError where parts overlap."""
+        if not self.parts:
+            return [Piece(self.name, 0.0, 360.0)]
+        named = sorted((start, end, part) for part, (start, end) in self.parts.items())
+        following = [*(start for start, _, _ in named[1:]), named[0][0] + 360.0]
+        pieces = []
+        for (start, end, part), after in zip(named, following, strict=True):
+            if not 0 < end - start < 360 or end > after:
+                raise ValueError(
+                    f"body {self.name!r}: got the part {part!r} from {start:g} to {end:g} degrees, wanted a rising "
+                    "range that meets no other part"
+                )
+            pieces.append(Piece(f"{self.name}.{part}", start, end))
+            if after > end:
+                pieces.append(Piece(self.name, end, after))
+        return pieces
+
+
+@dataclass(frozen=True)
+class Circle(_Round):
+    """A circle; angles are in degrees from the downstream direction, counter-clockwise."""
+
+    centre: Point
+    radius: float
 
     def point(self, parameter: np.ndarray, height: float = 0.0) -> np.ndarray:
-        angle = [math.radians(degrees) for degrees in np.atleast_1d(parameter)]
-        r = self.radius + height
+        """Return points (k, 2) of the curve, or of one that lies `height` outside of it."""
+        angle, r = [math.radians(degrees) for degrees in np.atleast_1d(parameter)], self.radius + height
         return np.array(self.centre) + np.array([(r * math.cos(a), r * math.sin(a)) for a in angle])
 
     def between(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Return the points (k, 2) of the curve in the middle between its points a and b (k, 2)."""
         from_centre, middle = a - self.centre, 0.5 * (a + b) - self.centre
         # the radius of the very points, to the last digit
         r = np.linalg.norm(from_centre, axis=1) / np.linalg.norm(middle, axis=1)
         return self.centre + middle * r[:, None]
 
     def chart(self, piece: Piece, x: np.ndarray) -> Chart:
+        """Return where points (k, 2) of a piece are."""
         outward = x - np.array(self.centre)
         middle, width = np.radians(0.5 * (piece.start + piece.end)), np.radians(piece.end - piece.start)
         offset = np.angle(np.exp(1j * (np.arctan2(outward[:, 1], outward[:, 0]) - middle)))
@@ -129,117 +104,44 @@ class Circle:
 
 
 @dataclass(frozen=True)
-class Smooth:
-    """A smooth closed curve given as a function: angles (k,) in radians -> points (k, 2), counter-clockwise.
+class Smooth(_Round):
+    """A smooth closed curve given as a function: angles (k,) in radians -> points (k, 2), counter-clockwise."""
 
-    Its parameter, and that of its parts (start, end), is the function's angle in degrees.
-    """
-
-    name: str
     function: Callable[[np.ndarray], np.ndarray]
     centre: Point = (0.0, 0.0)
-    parts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    straight = False
-
-    def pieces(self) -> list[Piece]:
-        return _cut(self.name, self.parts)
 
     def point(self, parameter: np.ndarray, height: float = 0.0) -> np.ndarray:
+        """Return points (k, 2) of the curve, or of one that lies `height` outside of it."""
         angle = np.radians(np.atleast_1d(parameter))
-        return np.asarray(self.function(angle)) + height * self._outward(angle)
+        tangent = self._slope(angle) / np.linalg.norm(self._slope(angle), axis=1)[:, None]
+        return np.asarray(self.function(angle)) + height * np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
 
     def between(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Return the points (k, 2) of the curve in the middle between points a and b (k, 2) on it, or near it."""
         first, second = self._angle(a), self._angle(b)
         return np.asarray(self.function(first + 0.5 * np.angle(np.exp(1j * (second - first)))))
 
     def chart(self, piece: Piece, x: np.ndarray) -> Chart:
-        start, end = math.radians(piece.start), math.radians(piece.end)
-        along = np.linspace(start, end, 2001)
+        """Return where points (k, 2) of a piece are."""
+        along = np.radians(np.linspace(piece.start, piece.end, 2001))
         steps = np.linalg.norm(np.diff(np.asarray(self.function(along)), axis=0), axis=1)
-        arc = np.concatenate([[0.0], np.cumsum(steps)])
-        angle = self._angle(x)
-        # into the piece's own turn: its ends lie on it but for rounding
-        angle = 0.5 * (start + end) + np.angle(np.exp(1j * (angle - 0.5 * (start + end))))
-        return Chart(np.interp(angle, along, arc) - 0.5 * arc[-1], arc[-1], arc[-1], self._outward(angle))
+        arc, middle = np.concatenate([[0.0], np.cumsum(steps)]), along[1000]
+        angle = middle + np.angle(np.exp(1j * (self._angle(x) - middle)))
+        outward = self.point(np.degrees(angle), 1.0) - self.point(np.degrees(angle))
+        return Chart(np.interp(angle, along, arc) - 0.5 * arc[-1], arc[-1], arc[-1], outward)
 
-    def _outward(self, angle: np.ndarray) -> np.ndarray:
-        h = 1e-5
-        tangent = np.asarray(self.function(angle + h)) - np.asarray(self.function(angle - h))
-        return np.stack([tangent[:, 1], -tangent[:, 0]], axis=1) / np.linalg.norm(tangent, axis=1)[:, None]
-
-    @cached_property
-    def _samples(self) -> tuple[np.ndarray, np.ndarray]:
-        angle = np.linspace(0.0, 2 * np.pi, 4001)[:-1]
-        return angle, np.asarray(self.function(angle))
+    def _slope(self, angle: np.ndarray) -> np.ndarray:
+        return (np.asarray(self.function(angle + 1e-5)) - np.asarray(self.function(angle - 1e-5))) / 2e-5
 
     def _angle(self, x: np.ndarray) -> np.ndarray:
         """Return the angles of the points of the curve that are nearest to x (k, 2)."""
-        angles, samples = self._samples
+        angles = np.linspace(0.0, 2 * np.pi, 4001)[:-1]
+        samples = np.asarray(self.function(angles))
         angle = angles[np.linalg.norm(x[:, None] - samples[None], axis=2).argmin(axis=1)]
-        h = 1e-4
         for _ in range(8):  # Newton's method on the distance along the tangent
-            now = np.asarray(self.function(angle))
-            slope = (np.asarray(self.function(angle + h)) - np.asarray(self.function(angle - h))) / (2 * h)
-            angle = angle + ((x - now) * slope).sum(axis=1) / (slope**2).sum(axis=1)
+            slope = self._slope(angle)
+            angle = angle + ((x - np.asarray(self.function(angle))) * slope).sum(axis=1) / (slope**2).sum(axis=1)
         return angle
-
-
-@dataclass(frozen=True)
-class Polygon:
-    """A body with straight sides. corners: (x, y), or (x, y, part) where the side that begins there is a part.
-
-    Its parameter counts corners: 1.5 is the middle of the second side.
-    """
-
-    name: str
-    corners: tuple[tuple, ...]
-    straight = True
-
-    @property
-    def centre(self) -> Point:
-        x, y = self._xy.mean(axis=0)
-        return float(x), float(y)
-
-    @property
-    def _xy(self) -> np.ndarray:
-        return np.array([corner[:2] for corner in self.corners], dtype=float)
-
-    def pieces(self) -> list[Piece]:
-        names = [f"{self.name}.{corner[2]}" if len(corner) > 2 else self.name for corner in self.corners]
-        return [Piece(name, float(k), k + 1.0) for k, name in enumerate(names)]
-
-    def point(self, parameter: np.ndarray, height: float = 0.0) -> np.ndarray:
-        parameter = np.atleast_1d(parameter)
-        xy = self._xy
-        side, share = parameter.astype(int) % len(xy), (parameter % 1.0)[:, None]
-        return (1 - share) * self._moved(height)[side] + share * self._moved(height)[(side + 1) % len(xy)]
-
-    def _moved(self, height: float) -> np.ndarray:
-        """Return the corners of the polygon whose sides lie `height` outside of this one's."""
-        xy = self._xy
-        after = _normals(xy, np.roll(xy, -1, axis=0))
-        before = np.roll(after, 1, axis=0)
-        return xy + height * (before + after) / (1 + (before * after).sum(axis=1))[:, None]
-
-    def between(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return 0.5 * (a + b)
-
-    def chart(self, piece: Piece, x: np.ndarray) -> Chart:
-        xy, side = self._xy, int(piece.start)
-        return _straight(xy[side], xy[(side + 1) % len(xy)], x, outward=1.0)
-
-
-@dataclass(frozen=True)
-class Side:
-    """A straight side of the domain, the fluid on its left."""
-
-    name: str
-    start: Point
-    end: Point
-
-    def chart(self, x: np.ndarray) -> Chart:
-        """Return where points (k, 2) of the side are."""
-        return _straight(np.array(self.start), np.array(self.end), x, outward=-1.0)
 
 
 def _normals(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -255,18 +157,64 @@ def _straight(a: np.ndarray, b: np.ndarray, x: np.ndarray, outward: float) -> Ch
 
 
 @dataclass(frozen=True)
-class Box:
-    """A rectangle of fluid; its sides are left, right, bottom and top."""
+class Polygon:
+    """A body with straight sides. corners: (x, y), or (x, y, part) where the side that begins there is a part.
 
-    x: tuple[float, float]
-    y: tuple[float, float]
+    Its parameter counts corners: 1.5 is the middle of the second side.
+    """
 
-    def sides(self) -> list[Side]:
-        """Return the sides, counter-clockwise."""
-        (x0, x1), (y0, y1) = self.x, self.y
-        corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
-        names = ("bottom", "right", "top", "left")
-        return [Side(name, corners[k], corners[(k + 1) % 4]) for k, name in enumerate(names)]
+    name: str
+    corners: tuple[tuple, ...]
+    straight = True
+
+    @property
+    def centre(self) -> Point:
+        """The mean of the corners."""
+        x, y = self._xy.mean(axis=0)
+        return float(x), float(y)
+
+    @property
+    def _xy(self) -> np.ndarray:
+        return np.array([corner[:2] for corner in self.corners], dtype=float)
+
+    def pieces(self) -> list[Piece]:
+        """Return all sides in their order."""
+        names = [f"{self.name}.{corner[2]}" if len(corner) > 2 else self.name for corner in self.corners]
+        return [Piece(name, float(k), k + 1.0) for k, name in enumerate(names)]
+
+    def point(self, parameter: np.ndarray, height: float = 0.0) -> np.ndarray:
+        """Return points (k, 2) of the polygon, or of one whose sides lie `height` outside of its."""
+        xy, parameter = self._xy, np.atleast_1d(parameter)
+        after = _normals(xy, np.roll(xy, -1, axis=0))
+        before = np.roll(after, 1, axis=0)
+        xy = xy + height * (before + after) / (1 + (before * after).sum(axis=1))[:, None]
+        side, share = parameter.astype(int) % len(xy), (parameter % 1.0)[:, None]
+        return (1 - share) * xy[side] + share * xy[(side + 1) % len(xy)]
+
+    def between(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Return the points (k, 2) in the middle between points a and b (k, 2)."""
+        return 0.5 * (a + b)
+
+    def chart(self, piece: Piece, x: np.ndarray) -> Chart:
+        """Return where points (k, 2) of a side are."""
+        ends = self.point(np.array([piece.start, piece.end]))
+        return _straight(ends[0], ends[1], x, outward=1.0)
+
+
+Body = Circle | Smooth | Polygon
+
+
+@dataclass(frozen=True)
+class Side:
+    """A straight side of the domain, the fluid on its left."""
+
+    name: str
+    start: Point
+    end: Point
+
+    def chart(self, x: np.ndarray) -> Chart:
+        """Return where points (k, 2) of the side are."""
+        return _straight(np.array(self.start), np.array(self.end), x, outward=-1.0)
 
 
 @dataclass(frozen=True)
@@ -284,29 +232,40 @@ class Outline:
         return [Side(name, (x, y), (u, v)) for (name, x, y), (_, u, v) in zip(self.corners, following, strict=True)]
 
 
+@dataclass(frozen=True)
+class Box:
+    """A rectangle of fluid; its sides are left, right, bottom and top."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+
+    def sides(self) -> list[Side]:
+        """Return the sides, counter-clockwise."""
+        (x0, x1), (y0, y1) = self.x, self.y
+        return Outline((("bottom", x0, y0), ("right", x1, y0), ("top", x1, y1), ("left", x0, y1))).sides()
+
+
 Domain = Box | Outline
 
 
-def inside(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+def outline(body: Body, height: float = 0.0, count: int = 720) -> np.ndarray:
+    """Return points (n, 2) around a body, `height` outside of it: its corners if it is straight, else `count`."""
+    if body.straight:
+        return body.point(np.array([piece.start for piece in body.pieces()]), height)
+    return body.point(np.linspace(0.0, 360.0, count + 1)[:-1], height)
+
+
+def inside(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return which points (k, 2) lie within a polygon (n, 2), by the number of sides to the right of each."""
-    (x, y), a, b = points.T[..., None], corners, np.roll(corners, -1, axis=0)
+    (x, y), a, b = points.T[..., None], polygon, np.roll(polygon, -1, axis=0)
     crosses = (a[:, 1] > y) != (b[:, 1] > y)
     with np.errstate(divide="ignore", invalid="ignore"):
         at = a[:, 0] + (y - a[:, 1]) * (b[:, 0] - a[:, 0]) / (b[:, 1] - a[:, 1])
     return (crosses & (x < at)).sum(axis=1) % 2 == 1
 
 
-def outline(body: Body, height: float = 0.0, count: int = 720) -> np.ndarray:
-    """Return points (n, 2) around a body, `height` outside of it: its corners if it is straight, else `count`."""
-    pieces = body.pieces()
-    if body.straight:
-        return body.point(np.array([piece.start for piece in pieces]), height)
-    return body.point(np.linspace(0.0, 360.0, count + 1)[:-1], height)
-
-
 def distance(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the distances (k,) of points (k, 2) from the sides of a polygon (n, 2)."""
-    a, along = polygon, np.roll(polygon, -1, axis=0) - polygon
-    share = ((points[:, None] - a) * along).sum(axis=2) / (along**2).sum(axis=1)
-    nearest = a + np.clip(share, 0.0, 1.0)[..., None] * along
-    return np.linalg.norm(points[:, None] - nearest, axis=2).min(axis=1)
+    along = np.roll(polygon, -1, axis=0) - polygon
+    share = ((points[:, None] - polygon) * along).sum(axis=2) / (along**2).sum(axis=1)
+    return np.linalg.norm(points[:, None] - polygon - np.clip(share, 0.0, 1.0)[..., None] * along, axis=2).min(axis=1)

@@ -136,7 +136,7 @@ class FlowVectorEnv(gymnasium.vector.VectorEnv):
         info: dict[str, Any] = {name: part.copy() for name, part in self._last.means.items()}
         present = {f"_{name}": there & ~self._fresh for name in info}
         now = {
-            "amplitudes": np.ascontiguousarray(self._flows.amplitude.T),
+            "amplitudes": self._flows.amplitude.T.copy(),
             "time": self._flows.actions * self.task.interval,
             "diverged": self._last.diverged.copy(),
         }

@@ -28,7 +28,7 @@ SETTLE = 40.0
 """Time for which a street goes on once it is advected with its mean, in L / U."""
 _CHUNK = 50
 _SAMPLE = 10
-_RECENT = 20.0
+_RECENT = 50.0
 """Time over which the spin-up knows its own C_L, in L / U: a few shedding periods."""
 
 Progress = Callable[[str, float], None]

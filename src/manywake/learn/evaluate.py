@@ -144,17 +144,17 @@ def control(base: Baseline, limits: np.ndarray, part: Trajectory, column: int) -
     """Return the statistics of one flow over a window; limits: (inputs,)."""
     missing = np.full(len(part.amplitudes), np.nan)
     c_d, c_l, power = (part.series[n][:, column] if n in part.series else missing for n in ("c_d", "c_l", "power"))
-    cd0, steady = base.free.get("c_d", np.nan), base.steady.get("c_d", np.nan)
-    cd = float(np.mean(c_d))
+    cd0, steady, cd = base.free.get("c_d", np.nan), base.steady.get("c_d", np.nan), float(np.mean(c_d))
+    saved, rms = cd0 - cd, lambda series: float(np.sqrt(np.mean(series**2)))
     return Control(
         cd_uncontrolled=cd0,
         cd_controlled=cd,
         cd_steady=steady,
-        drag_reduction=(cd0 - cd) / cd0,
-        share_of_shedding_drag=(cd0 - cd) / (cd0 - steady),
+        drag_reduction=saved / cd0,
+        share_of_shedding_drag=saved / (cd0 - steady),
         cl_mean=float(np.mean(c_l)),
-        cl_rms=float(np.sqrt(np.mean(c_l**2))),
-        amplitude_rms=float(np.sqrt(np.mean((part.amplitudes[:, :, column] / limits) ** 2))),
+        cl_rms=rms(c_l),
+        amplitude_rms=rms(part.amplitudes[:, :, column] / limits),
         power=float(np.mean(power)),
         reward=float(np.mean(part.rewards[:, column])),
         diverged=not np.isfinite(power).all(),

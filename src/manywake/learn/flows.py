@@ -54,11 +54,11 @@ class Flows:
         return 0
 
     def play(self, driving: Sequence[Policy], contexts: list[Context]) -> list[Episode]:
-        flows = ControlledFlows(self.flow, self.task, len(contexts))
+        count, policy_seconds, begin = len(contexts), 0.0, time.perf_counter()
+        flows = ControlledFlows(self.flow, self.task, count)
         noise = np.stack([context.noise for context in contexts], axis=1)
         which = np.stack([context.which for context in contexts], axis=1)
         log_probs: list[np.ndarray] = []
-        policy_seconds = 0.0
 
         def choose(t: int, seen: np.ndarray) -> np.ndarray:
             nonlocal policy_seconds
@@ -68,9 +68,7 @@ class Flows:
             policy_seconds += time.perf_counter() - start
             return actions
 
-        begin, steps = time.perf_counter(), []
-        diverged = np.zeros(len(contexts), dtype=bool)
-        length = np.full(len(contexts), self.horizon)
+        steps, diverged, length = [], np.zeros(count, dtype=bool), np.full(count, self.horizon)
         for t, step in enumerate(drive(flows, choose, self.horizon)):
             steps.append(step)
             length[step.outcome.diverged & ~diverged] = t + 1
@@ -78,26 +76,24 @@ class Flows:
             if diverged.all():
                 break
         flow_seconds = time.perf_counter() - begin - policy_seconds
-        versions = np.array([policy.version for policy in driving])[which]
-        limits = flows.limits[:, None]
-        rms = [np.sqrt(np.mean((step.outcome.amplitude / limits) ** 2, axis=0)) for step in steps]
+        outcomes = [step.outcome for step in steps]
+        readings = {name: np.stack([outcome.means[name] for outcome in outcomes]) for name in flows.free}
+        share = np.stack([outcome.amplitude for outcome in outcomes]) / flows.limits[:, None]
+        readings["amplitude_rms"] = np.sqrt(np.mean(share**2, axis=1))
+        series = [
+            np.array([policy.version for policy in driving])[which],
+            np.stack([step.observation for step in steps]),
+            np.stack([step.action for step in steps]),
+            np.stack(log_probs),
+            np.stack([outcome.reward for outcome in outcomes]),
+        ]
 
         def one(b: int, index: int) -> Episode:
-            mine = steps[: length[b]]
-            readings = {name: np.array([step.outcome.means[name][b] for step in mine]) for name in flows.free}
-            return Episode(
-                index,
-                versions[: length[b], b].copy(),
-                np.stack([step.observation[b] for step in mine]),
-                mine[-1].after[b].copy(),
-                np.stack([step.action[b] for step in mine]),
-                np.array([part[b] for part in log_probs[: length[b]]]),
-                np.array([step.outcome.reward[b] for step in mine]),
-                readings | {"amplitude_rms": np.array([part[b] for part in rms[: length[b]]])},
-                bool(diverged[b]),
-                flow_seconds / len(contexts),
-                policy_seconds / len(contexts),
-            )
+            n = length[b]
+            version, seen, action, log_prob, reward = (part[:n, b].copy() for part in series)
+            mine = {name: part[:n, b].copy() for name, part in readings.items()}
+            last, seconds = steps[n - 1].after[b].copy(), (flow_seconds / count, policy_seconds / count)
+            return Episode(index, version, seen, last, action, log_prob, reward, mine, bool(diverged[b]), *seconds)
 
         return [one(b, context.index) for b, context in enumerate(contexts)]
 
@@ -131,15 +127,17 @@ class Flows:
 
     def describe(self) -> dict[str, Any]:
         chosen, definition = self.chosen, self.chosen.definition
-        settings = {"case": describe.case(chosen.case), "task": describe.task(chosen.case, chosen.task)}
+        user = None if definition.shipped or definition.file is None else str(definition.file)
+        settings = _settings(chosen)
         return {
             "kind": KIND,
-            "case": definition.name,
+            "name": definition.name,
             "shipped": definition.shipped,
-            "file": None if definition.shipped or definition.file is None else str(definition.file),
+            "file": user,
             "file_sha256": None if definition.shipped else definition.sha256,
             "protocol": chosen.protocol,
-            "overrides": {name: _simple(value) for name, value in chosen.overrides.items()},
+            # those that were given as objects are in the settings, but open nothing
+            "overrides": {name: value for name, value in chosen.overrides.items() if _plain(value)},
             "digest": describe.digest(settings),
             **settings,
         }
@@ -157,13 +155,12 @@ def _unpacked(code: bytes) -> Flows:
     return Flows(*cloudpickle.loads(code))
 
 
-def _simple(value: Any) -> Any:
-    """Return a setting as JSON can hold it; one that was given as an object by its name, which opens nothing."""
-    if isinstance(value, str | int | float | bool | None):
-        return value
-    if isinstance(value, tuple | list):
-        return [_simple(part) for part in value]
-    return {"object": getattr(value, "__name__", type(value).__name__)}
+def _settings(chosen: Chosen) -> dict[str, Any]:
+    return {"case": describe.case(chosen.case), "task": describe.task(chosen.case, chosen.task)}
+
+
+def _plain(value: Any) -> bool:
+    return all(map(_plain, value)) if isinstance(value, tuple | list) else isinstance(value, str | int | float | None)
 
 
 def open_flows(chosen: Chosen, progress: Progress | None = None) -> Flows:
@@ -182,7 +179,7 @@ def reopen(folder: Path, described: dict[str, Any], chosen: Chosen) -> Flows:
             f"case: {definition.file or definition.name} is not the file that {folder} was made with (whose sha256 "
             f"begins with {str(described['file_sha256'])[:12]}); a copy of that one, to read, is {folder / 'case.py'}"
         )
-    settings = {"case": describe.case(chosen.case), "task": describe.task(chosen.case, chosen.task)}
+    settings = _settings(chosen)
     if describe.digest(settings) != described["digest"]:
         changed = [part for part, value in settings.items() if value != described[part]]
         raise ValueError(

@@ -74,16 +74,13 @@ def context(run_seed: int, index: int, horizon: int, actions: int, asks: ArrayLi
 
 
 class Evaluated(Protocol):
-    """What an evaluation found."""
+    """What an evaluation found: numbers as JSON can hold them, rows to be shown (heads first), pictures in a folder."""
 
-    def summary(self) -> dict[str, Any]:
-        """Return the numbers, as JSON can hold them."""
+    def summary(self) -> dict[str, Any]: ...
 
-    def table(self) -> list[tuple[str, ...]]:
-        """Return the rows to be shown, the first of them the heads of the columns."""
+    def table(self) -> list[tuple[str, ...]]: ...
 
-    def draw(self, folder: Path, tail: str) -> None:
-        """Draw pictures into a run's folder, with `tail` in their names."""
+    def draw(self, folder: Path, tail: str) -> None: ...
 
 
 class Simulation(Protocol):

@@ -6,18 +6,16 @@ and REFERENCES.
 
 import dataclasses
 import hashlib
-import importlib
-import importlib.util
 import pkgutil
-import sys
+import runpy
+import traceback
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
-import cloudpickle
 import docstring_parser
 
 from manywake import suite
@@ -41,7 +39,7 @@ class Definition:
     name: str
     case: Case
     protocols: Mapping[str, tuple[Task, Learning]]
-    rewards: Mapping[str, Reward] = field(default_factory=dict)
+    rewards: Mapping[str, Reward]
     references: tuple[Reference, ...] = ()
     file: Path | None = None
     sha256: str | None = None
@@ -72,8 +70,7 @@ class Chosen:
 
 def names() -> list[str]:
     """Return the names of the shipped cases."""
-    found = [module.name.replace("_", "-") for module in pkgutil.iter_modules(suite.__path__)]
-    return sorted(name for name in found if name != "load")
+    return [module.name.replace("_", "-") for module in pkgutil.iter_modules(suite.__path__) if module.name != "load"]
 
 
 def load(case: str | Path | Case, task: Task | None = None) -> Definition:
@@ -86,65 +83,37 @@ def load(case: str | Path | Case, task: Task | None = None) -> Definition:
             raise ValueError("task: got none, wanted task=Task(...) beside a case that is made in Python")
         return Definition("python", case, {"default": (task, Learning())}, {_name(task.reward): task.reward})
     if str(case) in names():
-        module = importlib.import_module(f"manywake.suite.{str(case).replace('-', '_')}")
-        path = Path(str(module.__file__))
-        return _definition(str(case), module, path, path.read_bytes())
+        module = import_module(f"manywake.suite.{str(case).replace('-', '_')}")
+        return _definition(str(case), vars(module), Path(str(module.__file__)))
     path = Path(case)
     if path.suffix != ".py":
         raise ValueError(f"case: got {str(case)!r}, wanted one of {', '.join(names())}, or the path of a .py file")
+    if not path.is_file():
+        raise ValueError(f"case: got {path}, which is no file, wanted the path of a case file")
     try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise ValueError(f"case: cannot read {path} ({error.strerror}), wanted the path of a case file") from error
-    return _definition(path.stem, _run(path, content), path.resolve(), content)
-
-
-def _run(path: Path, content: bytes) -> ModuleType:
-    """Run a user's case file as a module of its own."""
-    name = f"manywake_case_{hashlib.sha256(content + str(path.resolve()).encode()).hexdigest()[:16]}"
-    if name in sys.modules:
-        return sys.modules[name]
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    try:
-        exec(compile(content, str(path), "exec"), vars(module))
+        # what it defines belongs to no module, so it travels to workers as what it is (cloudpickle)
+        said = runpy.run_path(str(path), run_name="manywake_case")
     except Exception as error:
-        del sys.modules[name]
-        line = _line(error, str(path))
-        raise ValueError(f"case: {path}{line} fails ({type(error).__name__}: {error})") from error
-    # its functions travel to workers as what they are, for the file may not be there
-    cloudpickle.register_pickle_by_value(module)
-    return module
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else "?"
+        raise ValueError(f"case: {path}, line {line}, fails ({type(error).__name__}: {error})") from error
+    return _definition(path.stem, said, path.resolve())
 
 
-def _line(error: Exception, path: str) -> str:
-    if isinstance(error, SyntaxError):
-        return f", line {error.lineno}," if error.lineno else ""
-    trace, found = error.__traceback__, None
-    while trace is not None:
-        if trace.tb_frame.f_code.co_filename == path:
-            found = trace.tb_lineno
-        trace = trace.tb_next
-    return f", line {found}," if found else ""
-
-
-def _definition(name: str, module: ModuleType, path: Path, content: bytes) -> Definition:
-    for attribute, kind in (("CASE", Case), ("TASK", Task)):
-        if not isinstance(getattr(module, attribute, None), kind):
-            got = type(getattr(module, attribute)).__name__ if hasattr(module, attribute) else "nothing"
-            raise ValueError(f"case: {path} has {got} as {attribute}, wanted {attribute} = {kind.__name__}(...)")
-    task = module.TASK
-    default = (task, getattr(module, "LEARNING", Learning()))
+def _definition(name: str, said: Mapping[str, Any], path: Path) -> Definition:
+    for word, kind in (("CASE", Case), ("TASK", Task)):
+        if not isinstance(said.get(word), kind):
+            got = type(said[word]).__name__ if word in said else "nothing"
+            raise ValueError(f"case: {path} has {got} as {word}, wanted {word} = {kind.__name__}(...)")
+    task = said["TASK"]
     return Definition(
         name,
-        module.CASE,
-        {"default": default, **getattr(module, "PROTOCOLS", {})},
-        getattr(module, "REWARDS", {_name(task.reward): task.reward}),
-        tuple(getattr(module, "REFERENCES", ())),
+        said["CASE"],
+        {"default": (task, said.get("LEARNING", Learning())), **said.get("PROTOCOLS", {})},
+        said.get("REWARDS", {_name(task.reward): task.reward}),
+        tuple(said.get("REFERENCES", ())),
         path,
-        hashlib.sha256(content).hexdigest(),
+        hashlib.sha256(path.read_bytes()).hexdigest(),
     )
 
 
@@ -161,9 +130,8 @@ def choose(case: str | Path | Case, task: Task | str | None = None, **overrides:
     if task is None or isinstance(task, str):
         return override(load(case), task or "default", overrides)
     definition = load(case, task)
-    learning = definition.protocol("default")[1]
-    definition = replace(definition, protocols={**definition.protocols, "default": (task, learning)})
-    return override(definition, "default", overrides)
+    default = {"default": (task, definition.protocol("default")[1])}
+    return override(replace(definition, protocols={**definition.protocols, **default}), "default", overrides)
 
 
 def override(definition: Definition, protocol: str, overrides: Mapping[str, Any]) -> Chosen:
@@ -171,45 +139,36 @@ def override(definition: Definition, protocol: str, overrides: Mapping[str, Any]
 
     Beside those names every field of `Case`, `Task` and `Learning` can be given as an object.
     """
-    case, (task, learning) = definition.case, definition.protocol(protocol)
-    known = settings(definition, protocol)
-    whole = {f.name for kind in (Case, Task, Learning) for f in dataclasses.fields(kind)}
+    task, learning = definition.protocol(protocol)
+    owners: dict[type, Any] = {Case: definition.case, Task: task, Learning: learning}
+    of = {f.name: kind for kind in owners for f in dataclasses.fields(kind)}
+    known = {*of, *settings(definition, protocol)}
     for name, value in overrides.items():
-        if name not in known and name not in whole:
-            raise ValueError(f"got the setting {name!r}, wanted one of {', '.join(sorted({*known, *whole}))}")
-        value = _object(definition, task, name, value)
+        if name not in known:
+            raise ValueError(f"got the setting {name!r}, wanted one of {', '.join(sorted(known))}")
         head, _, tail = name.partition(".")
+        field, value = head, _object(definition, task, name, value)
         if head == "limit":
-            actuators: tuple[Any, ...] = case.actuators
-            actuators = tuple(replace(a, limit=value) if tail in ("", a.on) else a for a in actuators)
-            case = replace(case, actuators=actuators)
+            given = owners[Case].actuators
+            field, value = "actuators", tuple(replace(a, limit=value) if tail in ("", a.on) else a for a in given)
         elif head == "points":
-            points = tuple((float(x), float(y)) for x, y in value)
-            sensors: tuple[Any, ...] = case.sensors
-            sensors = tuple(replace(s, points=points) if s.name == tail else s for s in sensors)
-            case = replace(case, sensors=sensors)
-        elif head == "sizes" and tail:
-            case = replace(case, sizes=replace(case.sizes, **{tail: value}))
-        elif head == "law" and tail:
-            task = replace(task, law=replace(task.law, **{tail: value}))  # type: ignore[type-var]
-        elif head in {f.name for f in dataclasses.fields(Case)}:
-            case = replace(case, **{head: value})
-        elif head in {f.name for f in dataclasses.fields(Task)}:
-            task = replace(task, **{head: value})
-        else:
-            learning = replace(learning, **{head: value})
-    door.check(case, task)
-    return Chosen(definition, case, task, learning, protocol, dict(overrides))
+            points, given = tuple((float(x), float(y)) for x, y in value), owners[Case].sensors
+            field, value = "sensors", tuple(replace(s, points=points) if s.name == tail else s for s in given)
+        elif tail:
+            value = replace(getattr(owners[of[head]], head), **{tail: value})
+        owners[of[field]] = replace(owners[of[field]], **{field: value})
+    door.check(owners[Case], owners[Task])
+    return Chosen(definition, owners[Case], owners[Task], owners[Learning], protocol, dict(overrides))
 
 
 def _object(definition: Definition, task: Task, name: str, value: Any) -> Any:
     """Return what a string stands for: a scheme, a reward or a law by its name."""
-    if not isinstance(value, str):
-        return value
-    laws = {type(given.law).__name__.lower(): given.law for given, _ in definition.protocols.values()}
-    laws[type(task.law).__name__.lower()] = task.law
+    laws = {
+        type(law).__name__.lower(): law
+        for law in (*(given.law for given, _ in definition.protocols.values()), task.law)
+    }
     by_name: dict[str, Mapping[str, Any]] = {"scheme": SCHEMES, "reward": definition.rewards, "law": laws}
-    if name not in by_name:
+    if not isinstance(value, str) or name not in by_name:
         return value
     if value not in by_name[name]:
         raise ValueError(f"{name}: got {value!r}, wanted one of {', '.join(by_name[name])}")
@@ -218,7 +177,7 @@ def _object(definition: Definition, task: Task, name: str, value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Setting:
-    """A setting by its name: what it is now, of which type, and what it means."""
+    """A setting: what it is now, of which type (or which of some words), and what it means."""
 
     value: Any
     type: Any
@@ -226,41 +185,32 @@ class Setting:
 
 
 def settings(definition: Definition, protocol: str = "default") -> dict[str, Setting]:
-    """Return every single setting of a case's flow and task; those of the learner are the fields of `Learning`."""
+    """Return every single setting of a case's flow and task by name; those of the learner are fields of `Learning`."""
     case, (task, _) = definition.case, definition.protocol(protocol)
-    found = {name: _field(case, name) for name in ("reynolds", "spin_up")}
-    found["time_step"] = Setting(case.dt, float, _help(Case, "time_step"))
-    found["scheme"] = Setting(case.scheme.name, tuple(SCHEMES), _help(Case, "scheme"))
-    found |= {f"sizes.{f.name}": _field(case.sizes, f.name) for f in dataclasses.fields(case.sizes)}
+    rewards, laws = definition.rewards, [given.law for given, _ in definition.protocols.values()]
+    found = _fields(case, "", ("reynolds", "spin_up", "time_step", "scheme")) | _fields(case.sizes, "sizes.")
+    found["time_step"] = replace(found["time_step"], value=case.dt, type=float)
+    found["scheme"] = replace(found["scheme"], value=case.scheme.name, type=tuple(SCHEMES))
     for a in case.actuators:
         found[f"limit.{a.on}"] = Setting(a.limit, float, f"Largest amplitude of {a.on} ({a.unit}).")
-    if case.actuators:
-        found["limit"] = Setting(None, float | None, "Largest amplitude of every actuator.")
+    found["limit"] = Setting(None, float | None, "Largest amplitude of every actuator.")
     for s in case.sensors:
-        text = f"Points (x, y) of the sensor {s.name}."
-        found[f"points.{s.name}"] = Setting(s.points, tuple[tuple[float, float], ...], text)
-    found |= {name: _field(task, name) for name in ("interval", "actions", "observe")}
-    rewards = tuple(definition.rewards)
-    found["reward"] = Setting(_reward_name(definition, task), rewards, f"What is rewarded: {', '.join(rewards)}.")
-    laws = tuple(dict.fromkeys(type(t.law).__name__.lower() for t, _ in definition.protocols.values()))
-    found["law"] = Setting(type(task.law).__name__.lower(), laws, _help(Task, "law"))
-    found |= {f"law.{f.name}": _field(task.law, f.name) for f in dataclasses.fields(task.law)}  # type: ignore[arg-type]
+        points = tuple[tuple[float, float], ...]
+        found[f"points.{s.name}"] = Setting(s.points, points, f"Points (x, y) of the sensor {s.name}.")
+    found |= _fields(task, "", ("interval", "actions", "observe", "reward", "law")) | _fields(task.law, "law.")
+    now = next((name for name, reward in rewards.items() if reward is task.reward), _name(task.reward))
+    found["reward"] = Setting(now, tuple(rewards), "What is rewarded, of what the case's file has.")
+    kinds = tuple(dict.fromkeys(type(law).__name__.lower() for law in laws))
+    found["law"] = replace(found["law"], value=type(task.law).__name__.lower(), type=kinds)
     return found
 
 
-def _reward_name(definition: Definition, task: Task) -> str:
-    return next((name for name, f in definition.rewards.items() if f is task.reward), _name(task.reward))
-
-
-def _field(owner: Any, name: str) -> Setting:
-    return Setting(getattr(owner, name), _types(type(owner))[name], _help(type(owner), name))
-
-
-def _types(kind: type) -> dict[str, Any]:
-    return typing.get_type_hints(kind)
-
-
-def _help(kind: type, name: str) -> str:
-    """Return the sentence that stands below a field."""
-    parsed = docstring_parser.parse_from_object(kind)
-    return next((p.description or "" for p in parsed.params if p.arg_name == name), "").replace("\n", " ")
+def _fields(owner: Any, prefix: str, chosen: tuple[str, ...] = ()) -> dict[str, Setting]:
+    """Return the fields of a data class as settings, each with the sentence that stands below it."""
+    types = typing.get_type_hints(type(owner))
+    said = {
+        p.arg_name: (p.description or "").replace("\n", " ")
+        for p in docstring_parser.parse_from_object(type(owner)).params
+    }
+    every = chosen or tuple(f.name for f in dataclasses.fields(owner))
+    return {f"{prefix}{name}": Setting(getattr(owner, name), types[name], said.get(name, "")) for name in every}
