@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 
-.PHONY: setup train figures test test-all lint
+.PHONY: setup train figures test test-all lint same
 
 setup: $(STAMP)
 
@@ -31,3 +31,7 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# whether the paper's case has the same bits as at another commit: make same BASE=<commit>
+same: setup
+	$(BIN)/python -m benchmarks.same $(BASE)
