@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from manywake.case.conditions import Outflow
+from manywake.case.conditions import NoSlip, Outflow
 from manywake.case.geometry import distance, inside, outline
 
 CLEAR = 1.002
@@ -22,6 +22,7 @@ def check(case: Any) -> None:
     _check_names(case)
     _check_bodies(case)
     _check_conditions(case)
+    _check_flux(case)
     _check_inputs(case)
     _check_sensors(case)
 
@@ -70,13 +71,14 @@ def _check_bodies(case: Any) -> None:
     height = case.scales.length * case.sizes.layer_height
     height *= sum(case.sizes.layer_growth**k for k in range(int(case.sizes.layers)))
     domain = np.array([side.start for side in case.domain.sides()])
+    if _area(domain) <= 0:
+        raise ValueError("domain: runs clockwise, wanted its corners counter-clockwise, the fluid on the left")
     outlines = {body.name: outline(body) for body in case.bodies}
     for body in case.bodies:
         xy = outlines[body.name]
         if not np.isfinite(xy).all():
             raise ValueError(f"body {body.name!r}: got points that are not finite")
-        x, y = xy.T
-        if (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() <= 0:
+        if _area(xy) <= 0:
             raise ValueError(f"body {body.name!r}: runs clockwise, wanted its points counter-clockwise")
         if not inside(domain, xy).all() or distance(domain, xy).min() < height:
             raise ValueError(
@@ -92,6 +94,12 @@ def _check_bodies(case: Any) -> None:
                 )
 
 
+def _area(corners: np.ndarray) -> float:
+    """Return the area of a polygon (n, 2), negative if it runs clockwise."""
+    x, y = corners.T
+    return float(0.5 * (x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
+
+
 def _check_conditions(case: Any) -> None:
     sides = list(dict.fromkeys(side.name for side in case.domain.sides()))
     bodies = [body.name for body in case.bodies]
@@ -104,6 +112,26 @@ def _check_conditions(case: Any) -> None:
             raise ValueError(f"conditions: {name!r} has {given[name]}, wanted exactly one")
         if name in sides and not given[name]:
             raise ValueError(f"conditions: {name!r} has none, wanted one, as NoSlip({name!r}) or Outflow({name!r})")
+    for condition in case.conditions:
+        for name in set(condition.on) & set(bodies):
+            if not isinstance(condition, NoSlip):
+                kind = type(condition).__name__
+                raise ValueError(f"conditions: got {kind} on the body {name!r}, wanted NoSlip, which it has unasked")
+
+
+def _check_flux(case: Any) -> None:
+    net = 0.0
+    for condition in () if case.outlet else case.conditions:
+        for side in case.domain.sides():
+            if side.name in condition.on:
+                x = np.linspace(side.start, side.end, 3)  # Simpson's rule, exact for a parabola
+                chart = side.chart(x)
+                net += chart.length * (condition.velocity(side, x) * chart.outward).sum(axis=1) @ [1 / 6, 2 / 3, 1 / 6]
+    if abs(net) > 1e-9 * case.scales.velocity * case.scales.length:
+        raise ValueError(
+            f"conditions: got a net flux of {net:g} into the domain, wanted none, as no boundary has an Outflow to let "
+            "it out"
+        )
 
 
 def _check_inputs(case: Any) -> None:
@@ -152,9 +180,9 @@ def _speed(case: Any, actuator: Any) -> float:
 def _check_sensors(case: Any) -> None:
     domain = np.array([side.start for side in case.domain.sides()])
     for sensor in case.sensors:
-        points = np.array(sensor.points, dtype=float).reshape(-1, 2)
-        if not len(points):
-            raise ValueError(f"sensor {sensor.name!r}: got no points, wanted at least one")
+        points = np.array(sensor.points, dtype=float)
+        if points.ndim != 2 or points.shape[1] != 2:
+            raise ValueError(f"sensor {sensor.name!r}: got points of shape {points.shape}, wanted one (x, y) or more")
         within = np.isfinite(points).all(axis=1)
         within[within] = inside(domain, points[within]) | (distance(domain, points[within]) < 1e-12)
         where = np.where(within, "", "outside the domain")

@@ -4,7 +4,7 @@ A body is no-slip unless a condition names it. On a boundary of given velocity t
 has none.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
@@ -31,6 +31,8 @@ class _Named:
     def __init__(self, *on: str, **settings: float):
         object.__setattr__(self, "on", on)
         for name, value in settings.items():
+            if name not in {field.name for field in fields(self)}:  # type: ignore[arg-type]
+                raise TypeError(f"{type(self).__name__}() got an unexpected keyword argument {name!r}")
             object.__setattr__(self, name, value)
 
 

@@ -16,6 +16,11 @@ def check(case: Case, task: Task) -> None:
         raise ValueError("actuators: got none, wanted at least one that the agent drives, as Jet or Rotation")
     mixing = tasks.matrix(task, len(case.actuators))
     known = (*(sensor.name for sensor in case.sensors), *readings(case), "amplitudes")
+    for sensor in case.sensors:
+        if known.count(sensor.name) > 1:
+            raise ValueError(f"sensor {sensor.name!r}: got the name of a reading, wanted another")
+    if isinstance(task.observe, str):
+        raise ValueError(f"observe: got {task.observe!r}, wanted a tuple of names, as ({task.observe!r},)")
     for name in task.observe:
         if name not in known:
             raise ValueError(f"observe: got {name!r}, wanted some of {', '.join(known)}")
@@ -34,11 +39,11 @@ def check(case: Case, task: Task) -> None:
 def _try_reward(case: Case, task: Task) -> None:
     if not callable(task.reward):
         raise ValueError(f"reward: got {task.reward!r}, wanted a function reward(now, free)")
-    name = getattr(task.reward, "__name__", repr(task.reward))
     free = dict.fromkeys(readings(case), 1.0)
     now = {reading: 0.1 * (k + 1) for k, reading in enumerate(free)}
     tried = {"reward": lambda: task.reward(now, free), "charge": lambda: task.charge(task.reward, free, 1)}
     for what, call in tried.items():
+        name = getattr(getattr(task, what), "__name__", what)
         try:
             got = call()
         except KeyError as error:

@@ -66,6 +66,8 @@ class Task:
             raise ValueError(f"actions: got {self.actions}, wanted at least 2")
         if not self.interval > 0:
             raise ValueError(f"interval: got {self.interval:g}, wanted a positive time")
+        if not hasattr(self.law, "series"):
+            raise ValueError(f"law: got {self.law!r}, wanted an object, as Held() or Linear()")
 
     def steps(self, time_step: float) -> int:
         """Return the solver steps of an action; ValueError when the interval is no multiple of the time step."""

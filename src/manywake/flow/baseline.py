@@ -127,9 +127,14 @@ def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None)
 
 def uncontrolled(record: dict[str, np.ndarray], time_step: float) -> tuple[Shedding, dict[str, float]]:
     """Return the statistics of uncontrolled readings (steps,), and the mean of each, over whole periods."""
-    whole = statistics.whole_periods(record["c_l"])
-    found = statistics.shedding(record["c_d"], record["c_l"], time_step)
+    whole = statistics.whole_periods(clock(record))
+    found = statistics.shedding(record["c_d"], record["c_l"], time_step, clock(record))
     return found, {name: float(series[whole].mean()) for name, series in record.items()}
+
+
+def clock(record: dict[str, np.ndarray]) -> np.ndarray:
+    """Return the lift of the first body, by which periods are told: the sum of several may be steady."""
+    return next(series for name, series in record.items() if name.startswith("c_l."))
 
 
 def _develop(flow: FlowBatch, duration: float, recent: float, report: Progress, what: str) -> np.ndarray:
@@ -138,7 +143,7 @@ def _develop(flow: FlowBatch, duration: float, recent: float, report: Progress, 
     steps = int(round(duration / time_step))
     done, c_l = 0, np.zeros(0)
     while done < steps:
-        c_l = np.concatenate([c_l, free_run(flow, _CHUNK)["c_l"]])[-int(recent / time_step) :]
+        c_l = np.concatenate([c_l, clock(free_run(flow, _CHUNK))])[-int(recent / time_step) :]
         done += _CHUNK
         report(what, min(done / steps, 1.0))
     return c_l
@@ -149,7 +154,7 @@ def _to_crossing(flow: FlowBatch, c_l: np.ndarray) -> None:
     level = 0.5 * (c_l.max() + c_l.min())
     previous = c_l[-1]
     for _ in range(5 * len(c_l)):
-        now = free_run(flow, 1)["c_l"][0]
+        now = clock(free_run(flow, 1))[0]
         if previous < level <= now:
             return
         previous = now

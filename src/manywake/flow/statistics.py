@@ -40,14 +40,16 @@ def whole_periods(c_l: np.ndarray) -> slice:
     return slice(int(up[0]) + 1, int(up[-1]) + 1)
 
 
-def shedding(c_d: np.ndarray, c_l: np.ndarray, time_step: float) -> Shedding:
+def shedding(c_d: np.ndarray, c_l: np.ndarray, time_step: float, clock: np.ndarray | None = None) -> Shedding:
     """Return the statistics of a signal (steps,) between the first and the last upward crossing of C_L's mid-range.
 
-    cl_rms is the root mean square about zero. Raises ValueError when there are fewer than two whole periods.
+    clock: another signal whose crossings count. cl_rms is the root mean square about zero. Raises ValueError when there
+    are fewer than two whole periods.
     """
-    up, level = _crossings(c_l)
-    crossing = up + (level - c_l[up]) / (c_l[up + 1] - c_l[up])
-    whole = whole_periods(c_l)
+    clock = c_l if clock is None else clock
+    up, level = _crossings(clock)
+    crossing = up + (level - clock[up]) / (clock[up + 1] - clock[up])
+    whole = whole_periods(clock)
     d, lift = c_d[whole], c_l[whole]
     return Shedding(
         float(d.mean()),

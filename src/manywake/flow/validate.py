@@ -13,7 +13,7 @@ import numpy as np
 
 from manywake.case.references import Forced, Reference, Settled, Statistic, Steady
 from manywake.case.schemes import Scheme
-from manywake.flow import baseline, exact, forced, problem, readings, statistics, steady
+from manywake.flow import baseline, exact, forced, problem, readings, steady
 from manywake.flow.baseline import Progress
 from manywake.flow.batch import FlowBatch
 from manywake.flow.problem import Problem
@@ -119,8 +119,8 @@ def _uncontrolled(flow: Flow, report: Progress) -> Shedding:
     for k in range(0, steps, 1000):
         report("uncontrolled flow", k / steps)
         record.append(baseline.free_run(batch, min(1000, steps - k)))
-    c_d, c_l = (np.concatenate([part[name] for part in record]) for name in ("c_d", "c_l"))
-    return statistics.shedding(c_d, c_l, case.dt)
+    whole = {name: np.concatenate([part[name] for part in record]) for name in record[0]}
+    return baseline.uncontrolled(whole, case.dt)[0]
 
 
 def _symbol(reading: str) -> str:

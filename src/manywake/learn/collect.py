@@ -72,8 +72,8 @@ class Collector:
     block_seconds: float | None = None
     seen: Callable[[list[Episode]], None] = lambda episodes: None
     failed: Callable[[Failure], None] = lambda failure: None
-    _queue: deque[Block] = field(default_factory=deque)
-    _flying: dict[Future, tuple[Block, float]] = field(default_factory=dict)
+    _queue: deque[tuple[Block, tuple[Any, ...]]] = field(default_factory=deque)
+    _flying: dict[Future, tuple[Block, tuple[Any, ...], float]] = field(default_factory=dict)
     _arrived: dict[int, tuple[Episode, float]] = field(default_factory=dict)
     _attempts: dict[int, int] = field(default_factory=dict)
     _error: BaseException | None = None
@@ -91,7 +91,7 @@ class Collector:
         """
         with self._change:
             self._policies.take(policy, self.order.oldest(policy.version))
-            self._queue.extend(self.order.policy(policy.version))
+            self._enqueue(self.order.policy(policy.version))
             self._fill()
             while self._error is None and (ready := self.order.ready(policy.version, self._arrived)) is None:
                 self._change.wait()
@@ -110,25 +110,33 @@ class Collector:
         """
         with self._change:
             self._policies.older = policy_of
-            self._queue.extend(self.order.resume(version, pending))
+            self._enqueue(self.order.resume(version, pending))
 
     def pending(self) -> list[tuple[int, int]]:
         """Return (episode, version) of all that were begun and are not used yet."""
         with self._change:
             return sorted(self.order.begun.items())
 
+    def _enqueue(self, blocks: list[Block]) -> None:
+        """Queue blocks with the policies they are played by, which newer ones may drive out before they start."""
+        self._queue.extend((block, self._driving(block)) for block in blocks)
+
+    def _driving(self, block: Block) -> tuple[Any, ...]:
+        return tuple(self._policies.shared(version) for version in block.versions or ())
+
     def _fill(self) -> None:
         while self._queue and self._error is None and len(self._flying) < min(self.engine.slots, self.grid.workers):
-            block = self.order.started(self._queue.popleft(), self._policies.newest)
+            block, driving = self._queue.popleft()
+            block = self.order.started(block, self._policies.newest)
+            driving = driving or self._driving(block)
             horizon = self.simulation.horizon
             contexts = [
                 context(self.run_seed, index, horizon, self._actions, self.order.asks(block, index))
                 for index in block.indices
             ]
-            driving = [self._policies.shared(version) for version in block.versions or ()]
             begun = time.perf_counter()
             future = self.engine.submit(play, self._shared, contexts, *driving, timeout=self._limit())
-            self._flying[future] = block, begun
+            self._flying[future] = block, driving, begun
             future.add_done_callback(self._done)
 
     def _limit(self) -> float | None:
@@ -139,13 +147,13 @@ class Collector:
     def _done(self, future: Future) -> None:
         """Take what an engine's thread brings; every way out of here leaves the collector able to go on or to stop."""
         with self._change:
-            block, begun = self._flying.pop(future)
+            block, driving, begun = self._flying.pop(future)
             try:
                 error = future.exception()
                 if error is None:
                     self._came(block, begun, future.result())
                 elif self._error is None:
-                    self._lost(block, error)
+                    self._lost(block, driving, error)
                 self._fill()
             except BaseException as problem:
                 self._error = self._error or problem
@@ -162,10 +170,10 @@ class Collector:
         episodes = [replace(episode, transport_seconds=transport) for episode in episodes]
         for episode in episodes:
             self._arrived[episode.index] = episode, now
-        self._queue.extend(self.order.came(block, self._policies.newest))
+        self._enqueue(self.order.came(block, self._policies.newest))
         self.seen(episodes)
 
-    def _lost(self, block: Block, error: BaseException) -> None:
+    def _lost(self, block: Block, driving: tuple[Any, ...], error: BaseException) -> None:
         """Queue a block that was lost again, split, so that the bad episode is named."""
         kind = "died" if isinstance(error, WorkerDied) else "timed out" if isinstance(error, TimedOut) else "raised"
         cause = f"{type(error).__name__}: {error}" if kind == "raised" else str(error)
@@ -177,7 +185,7 @@ class Collector:
         self.failed(Failure(block.indices, version, kind, cause, attempt))
         if attempt >= MOST_FAILURES:
             raise EpisodeFailed(block.indices[0], self.run_seed, cause)
-        self._queue.extendleft(reversed(block.split()))
+        self._queue.extendleft((alone, driving) for alone in reversed(block.split()))
 
 
 class _Policies:

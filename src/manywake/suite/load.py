@@ -106,10 +106,14 @@ def _definition(name: str, said: Mapping[str, Any], path: Path) -> Definition:
             got = type(said[word]).__name__ if word in said else "nothing"
             raise ValueError(f"case: {path} has {got} as {word}, wanted {word} = {kind.__name__}(...)")
     task = said["TASK"]
+    protocols = {"default": (task, said.get("LEARNING", Learning())), **said.get("PROTOCOLS", {})}
+    for word, both in protocols.items():
+        if not isinstance(both, tuple) or [type(part) for part in both] != [Task, Learning]:
+            raise ValueError(f"case: {path} has {both!r} as the protocol {word!r}, wanted (Task(...), Learning(...))")
     return Definition(
         name,
         said["CASE"],
-        {"default": (task, said.get("LEARNING", Learning())), **said.get("PROTOCOLS", {})},
+        protocols,
         said.get("REWARDS", {_name(task.reward): task.reward}),
         tuple(said.get("REFERENCES", ())),
         path,
@@ -143,7 +147,7 @@ def override(definition: Definition, protocol: str, overrides: Mapping[str, Any]
     owners: dict[type, Any] = {Case: definition.case, Task: task, Learning: learning}
     of = {f.name: kind for kind in owners for f in dataclasses.fields(kind)}
     known = {*of, *settings(definition, protocol)}
-    for name, value in overrides.items():
+    for name, value in sorted(overrides.items(), key=lambda item: "." in item[0]):  # a whole, then parts of it
         if name not in known:
             raise ValueError(f"got the setting {name!r}, wanted one of {', '.join(sorted(known))}")
         head, _, tail = name.partition(".")
@@ -155,7 +159,10 @@ def override(definition: Definition, protocol: str, overrides: Mapping[str, Any]
             points, given = tuple((float(x), float(y)) for x, y in value), owners[Case].sensors
             field, value = "sensors", tuple(replace(s, points=points) if s.name == tail else s for s in given)
         elif tail:
-            value = replace(getattr(owners[of[head]], head), **{tail: value})
+            whole = getattr(owners[of[head]], head)
+            if not hasattr(whole, tail):
+                raise ValueError(f"{name}: got {value!r}, wanted none, as {type(whole).__name__} has no {tail}")
+            value = replace(whole, **{tail: value})
         owners[of[field]] = replace(owners[of[field]], **{field: value})
     door.check(owners[Case], owners[Task])
     return Chosen(definition, owners[Case], owners[Task], owners[Learning], protocol, dict(overrides))
@@ -208,9 +215,10 @@ def settings(definition: Definition, protocol: str = "default") -> dict[str, Set
 def _fields(owner: Any, prefix: str, chosen: tuple[str, ...] = ()) -> dict[str, Setting]:
     """Return the fields of a data class as settings, each with the sentence that stands below it."""
     types = typing.get_type_hints(type(owner))
-    said = {
-        p.arg_name: (p.description or "").replace("\n", " ")
-        for p in docstring_parser.parse_from_object(type(owner)).params
-    }
+    try:
+        params = docstring_parser.parse_from_object(type(owner)).params
+    except TypeError:  # a class of a user's file: Python does not find the source again
+        params = []
+    said = {p.arg_name: (p.description or "").replace("\n", " ") for p in params}
     every = chosen or tuple(f.name for f in dataclasses.fields(owner))
     return {f"{prefix}{name}": Setting(getattr(owner, name), types[name], said.get(name, "")) for name in every}
