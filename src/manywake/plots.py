@@ -61,11 +61,17 @@ def vorticity(space: Space, u: np.ndarray) -> np.ndarray:
     return spsolve(sp.csc_matrix(mass), load)
 
 
-def _draw_vorticity(axis, case: Case, space: Space, u: np.ndarray, limit: float):
+def _draw_vorticity(axis, case: Case, space: Space, u: np.ndarray):
     points = space.mesh.points
     mesh = Triangulation(points[:, 0], points[:, 1], space.mesh.triangles)
     picture = axis.tripcolor(
-        mesh, vorticity(space, u), shading="gouraud", cmap="RdBu_r", vmin=-limit, vmax=limit, rasterized=True
+        mesh,
+        vorticity(space, u) * case.convective_time,
+        shading="gouraud",
+        cmap="RdBu_r",
+        vmin=-3,
+        vmax=3,
+        rasterized=True,
     )
     for body in case.bodies:
         axis.add_patch(plt.Polygon(outline(body), color="#888888", lw=0))
@@ -90,20 +96,20 @@ def wake(flow: Flow, end: Start, series: dict[str, np.ndarray], amplitudes: np.n
     end: the controlled flow at the end of the run. series: its readings (steps,). amplitudes: (steps, inputs).
     """
     case, base, space = flow.case, flow.baseline, flow.operators.space
-    time = (np.arange(len(amplitudes)) + 1) * case.dt
-    period = _one_period(flow)
-    phase = np.mod(time, base.shedding.period) / case.dt - 1
+    steps, period = np.arange(len(amplitudes)) + 1, _one_period(flow)
+    time = steps * case.dt / case.convective_time
+    phase = np.mod(steps * case.dt, base.shedding.period) / case.dt - 1
     free = {name: np.interp(phase, np.arange(len(period[name])), period[name]) for name in ("c_d", "c_l")}
     figure = plt.figure(figsize=(11, 6.6))
     grid = figure.add_gridspec(3, 2, height_ratios=(1.05, 1, 1), hspace=0.55, wspace=0.18)
     pictures: list[tuple[str, Start]] = [("uncontrolled", base.start), ("controlled", end)]
     for column, (name, state) in enumerate(pictures):
         axis = figure.add_subplot(grid[0, column])
-        picture = _draw_vorticity(axis, case, space, state.u, 3.0 / case.convective_time)
+        picture = _draw_vorticity(axis, case, space, state.u)
         axis.set_title(name, loc="left", color=(UNCONTROLLED, CONTROLLED)[column])
         if column == 0:
             axis.set_ylabel("y")
-    figure.colorbar(picture, ax=figure.axes, shrink=0.75, pad=0.015, label="vorticity", extend="both")
+    figure.colorbar(picture, ax=figure.axes, shrink=0.75, pad=0.015, label="vorticity [U/L]", extend="both")
     drag, lift = figure.add_subplot(grid[1, :]), figure.add_subplot(grid[2, :])
     for axis, name, label in ((drag, "c_d", "$C_D$"), (lift, "c_l", "$C_L$")):
         axis.plot(time, free[name], color=UNCONTROLLED, lw=0.8, alpha=0.7, label="uncontrolled")
@@ -117,7 +123,7 @@ def wake(flow: Flow, end: Start, series: dict[str, np.ndarray], amplitudes: np.n
     drag.set_ylim(low - 0.03, max(free["c_d"].max(), np.nanmax(series["c_d"])) + 0.12)
     drag.legend(ncols=3, loc="upper right", fontsize=9)
     drag.set_xticklabels([])
-    lift.set_xlabel(f"time [{case.convective_time:g}$^{{-1}}$ L/U]" if case.convective_time != 1 else "time [L/U]")
+    lift.set_xlabel("time [L/U]")
     _amplitude(lift, time, flow, amplitudes)
     figure.savefig(path, bbox_inches="tight")
     plt.close(figure)

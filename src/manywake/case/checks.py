@@ -65,6 +65,10 @@ def _check_names(case: Any) -> None:
     for name in names:
         if not name or "." in name and name not in sides:
             raise ValueError(f"body {name!r}: wanted a name without a dot, which parts a body from its piece")
+    pieces = [piece.name for body in case.bodies for piece in body.pieces()]
+    for name in (*names, *pieces, *(sensor.name for sensor in case.sensors)):
+        if not all(word.isidentifier() and "__" not in word for word in name.split(".")):
+            raise ValueError(f"name: got {name!r}, wanted letters, digits and single _, as options are named after it")
 
 
 def _check_bodies(case: Any) -> None:

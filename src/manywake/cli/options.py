@@ -2,7 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
@@ -39,11 +39,12 @@ def settings(definition: Definition, protocol: str, task: bool) -> type:
 
 def _option(name: str, setting: Setting) -> tuple[str, Any, Any]:
     kind, default, help = setting.type, setting.value, setting.help
-    if isinstance(kind, tuple):
-        kind = Literal[kind]  # type: ignore[valid-type]
+    words = None
+    if isinstance(kind, tuple):  # a word that is none of them is refused at the door, as all that does not fit
+        words, kind = f"{{{','.join(kind)}}}", str
     if name.startswith("points."):
         kind, default, help = kind | None, None, f"{help} {len(setting.value)} in the case's file."
-    option = tyro.conf.arg(name=name.replace("_", "-"), help=help)
+    option = tyro.conf.arg(name=name.replace("_", "-"), help=help, metavar=words)
     return name.replace(".", "__"), Annotated[kind, option], default  # type: ignore[valid-type]
 
 

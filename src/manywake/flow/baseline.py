@@ -101,7 +101,8 @@ def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None)
     base = steady.solve(case, posed)
     ops = assemble(case, posed, base.u)
     flow, unit = FlowBatch(ops, kicked(case, ops), 1), case.convective_time
-    c_l = _develop(flow, case.spin_up * unit, _RECENT * unit, report, "spin-up")
+    recent = min(_RECENT, 2 / 3 * case.spin_up)  # before that it is the kick that dies down
+    c_l = _develop(flow, case.spin_up * unit, recent * unit, report, "spin-up")
     recipe = f"format {FORMAT}; kicked rest, over {case.spin_up:g} L/U in steps of {case.dt:g} ({case.scheme.name})"
     advecting = None
     if case.scheme.mean:

@@ -15,7 +15,7 @@ def named(ops: Operators, read: np.ndarray, amplitudes: np.ndarray) -> dict[str,
 
     read: (steps, functionals, B). amplitudes: (steps, inputs, B). Sums run in one order, so that no bit depends on B.
     Power is the work that the inputs do on the fluid: that of pressure and friction, and the kinetic energy blown in
-    (docs/numerics.md, eq. 16). An input that takes energy out is not credited: it counts as 0 at that step.
+    (docs/numerics.md, eq. 17). An input that takes energy out is not credited: it counts as 0 at that step.
     """
     parts = {name: read[:, k] for k, name in enumerate(ops.functionals)}
     bodies = [name for name in parts if name.partition(".")[0] in KINDS]

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import gymnasium
 import numpy as np
 import torch
 from gymnasium import Space
@@ -11,7 +12,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import obs_as_tensor
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from manywake.case.learning import Learning
 from manywake.learn.collect import Collector
@@ -68,35 +69,14 @@ class RateSchedule:
         return self.end + (self.start - self.end) * min(progress_remaining + self.share, 1.0)
 
 
-class SpacesOnly(VecEnv):
+class SpacesOnly(gymnasium.Env):
     """Tells SB3 the spaces. It cannot be stepped: episodes come from the collector."""
 
     def __init__(self, observation_space: Space, action_space: Space):
-        super().__init__(1, observation_space, action_space)
+        self.observation_space, self.action_space = observation_space, action_space
 
-    def reset(self):
-        return np.zeros((1, *self.observation_space.shape), self.observation_space.dtype)
-
-    def step_async(self, actions):
-        raise NotImplementedError("the episodes come from the collector; use the Gymnasium environment to step")
-
-    def step_wait(self):
-        raise NotImplementedError
-
-    def close(self):
-        pass
-
-    def get_attr(self, attr_name, indices=None):
-        return [getattr(self, attr_name, None)]
-
-    def set_attr(self, attr_name, value, indices=None):
-        raise NotImplementedError
-
-    def env_method(self, method_name, *args, indices=None, **kwargs):
-        raise NotImplementedError
-
-    def env_is_wrapped(self, wrapper_class, indices=None):
-        return [False]
+    def reset(self, *, seed=None, options=None):
+        return np.zeros(self.observation_space.shape or (), self.observation_space.dtype), {}
 
 
 @dataclass
@@ -214,7 +194,7 @@ def build(learning: Learning, collector: Collector) -> EpisodicPPO:
     samples = learning.update_period * collector.simulation.horizon
     model = EpisodicPPO(
         "MlpPolicy",
-        SpacesOnly(*collector.simulation.spaces()),
+        DummyVecEnv([lambda: SpacesOnly(*collector.simulation.spaces())]),
         learning_rate=RateSchedule(learning),
         n_steps=samples,
         batch_size=min(learning.batch_size, samples),

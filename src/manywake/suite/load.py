@@ -21,6 +21,7 @@ import docstring_parser
 from manywake import suite
 from manywake.case import door
 from manywake.case.case import Case
+from manywake.case.laws import Held, Law, Linear
 from manywake.case.learning import Learning
 from manywake.case.references import Reference
 from manywake.case.schemes import SCHEMES
@@ -170,16 +171,18 @@ def override(definition: Definition, protocol: str, overrides: Mapping[str, Any]
 
 def _object(definition: Definition, task: Task, name: str, value: Any) -> Any:
     """Return what a string stands for: a scheme, a reward or a law by its name."""
-    laws = {
-        type(law).__name__.lower(): law
-        for law in (*(given.law for given, _ in definition.protocols.values()), task.law)
-    }
+    laws = {type(law).__name__.lower(): law for law in _laws(definition, task)}
     by_name: dict[str, Mapping[str, Any]] = {"scheme": SCHEMES, "reward": definition.rewards, "law": laws}
     if not isinstance(value, str) or name not in by_name:
         return value
     if value not in by_name[name]:
         raise ValueError(f"{name}: got {value!r}, wanted one of {', '.join(by_name[name])}")
     return by_name[name][value]
+
+
+def _laws(definition: Definition, task: Task) -> list[Law]:
+    """Return the laws that a word can stand for: those without parameters, and those that the case's file has."""
+    return [Linear(), Held(), *(given.law for given, _ in definition.protocols.values()), task.law]
 
 
 @dataclass(frozen=True)
@@ -194,7 +197,7 @@ class Setting:
 def settings(definition: Definition, protocol: str = "default") -> dict[str, Setting]:
     """Return every single setting of a case's flow and task by name; those of the learner are fields of `Learning`."""
     case, (task, _) = definition.case, definition.protocol(protocol)
-    rewards, laws = definition.rewards, [given.law for given, _ in definition.protocols.values()]
+    rewards = definition.rewards
     found = _fields(case, "", ("reynolds", "spin_up", "time_step", "scheme")) | _fields(case.sizes, "sizes.")
     found["time_step"] = replace(found["time_step"], value=case.dt, type=float)
     found["scheme"] = replace(found["scheme"], value=case.scheme.name, type=tuple(SCHEMES))
@@ -207,7 +210,7 @@ def settings(definition: Definition, protocol: str = "default") -> dict[str, Set
     found |= _fields(task, "", ("interval", "actions", "observe", "reward", "law")) | _fields(task.law, "law.")
     now = next((name for name, reward in rewards.items() if reward is task.reward), _name(task.reward))
     found["reward"] = Setting(now, tuple(rewards), "What is rewarded, of what the case's file has.")
-    kinds = tuple(dict.fromkeys(type(law).__name__.lower() for law in laws))
+    kinds = tuple(dict.fromkeys(type(law).__name__.lower() for law in _laws(definition, task)))
     found["law"] = replace(found["law"], value=type(task.law).__name__.lower(), type=kinds)
     return found
 
