@@ -1,6 +1,6 @@
 """The cylinder's jets under plain Stable-Baselines3, PPO or SAC: its own loop, its own buffers, a batch of flows.
 
-    python examples/train_sb3.py --algorithm sac --actions 20000
+    python examples/train_sb3.py --algorithm sac --total 20000
 
 No engine, no whole episodes and no promise of bits: this shows that the environment is like any other. Neither SB3 nor
 Gymnasium has an adapter from a Gymnasium vector environment to SB3's VecEnv, so a small one is here.
@@ -17,7 +17,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
-from manywake import CylinderJetsVectorEnv
+from manywake import FlowVectorEnv
 
 
 class Batch(VecEnv):
@@ -86,43 +86,38 @@ def _of(info: dict[str, Any], b: int) -> dict[str, Any]:
 
 def train(
     algorithm: Literal["ppo", "sac"] = "ppo",
-    actions: int = 20480,
+    total: int = 20480,
     flows: int = 8,
-    actions_per_episode: int = 160,
-    action_interval: float = 0.025,
+    actions: int = 160,
+    interval: float = 0.025,
     seed: int = 0,
 ) -> BaseAlgorithm:
     """Train for a number of actions, all flows counted; return the model.
 
     Args:
         algorithm: PPO or SAC.
-        actions: Actions in all.
+        total: Actions in all.
         flows: Flows advanced side by side.
-        actions_per_episode: Horizon of an episode.
-        action_interval: Time between actions.
+        actions: Horizon of an episode.
+        interval: Time between actions.
         seed: Of weights and exploration.
     """
     torch.set_num_threads(1)  # networks this small are slower on more
-    batch = CylinderJetsVectorEnv(
-        flows,
-        autoreset_mode=AutoresetMode.SAME_STEP,
-        actions_per_episode=actions_per_episode,
-        action_interval=action_interval,
-    )
+    batch = FlowVectorEnv(flows, autoreset_mode=AutoresetMode.SAME_STEP, actions=actions, interval=interval)
     environment = VecMonitor(Batch(batch))
     model: BaseAlgorithm
     if algorithm == "ppo":
         # an update of two episodes a flow, in minibatches of a fifth of an episode
-        steps, size = 2 * actions_per_episode, max(flows * actions_per_episode // 5, 2)
+        steps, size = 2 * actions, max(flows * actions // 5, 2)
         model = PPO("MlpPolicy", environment, n_steps=steps, batch_size=size, seed=seed, device="cpu", verbose=1)
     else:
         # one gradient step a flow and action; what came before an episode of each flow was over is random
-        begin = flows * actions_per_episode
+        begin = flows * actions
         model = SAC(
             "MlpPolicy", environment, learning_starts=begin, gradient_steps=-1, seed=seed, device="cpu", verbose=1
         )
     try:
-        return model.learn(actions, log_interval=1 if algorithm == "ppo" else flows)
+        return model.learn(total, log_interval=1 if algorithm == "ppo" else flows)
     finally:
         environment.close()
 

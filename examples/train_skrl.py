@@ -1,9 +1,9 @@
 """The cylinder's jets under skrl's PPO: another library's loop on the same batch of flows.
 
-    python examples/train_skrl.py --actions 20480
+    python examples/train_skrl.py --total 20480
 
 skrl takes a Gymnasium vector environment as it is. It records every step, so the step that Gymnasium's autoreset spends
-on the reset (reward 0, action without effect) is in its samples too: one in `actions_per_episode` + 1.
+on the reset (reward 0, action without effect) is in its samples too: one in `actions` + 1.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ from skrl.resources.preprocessors.torch import RunningStandardScaler
 from skrl.trainers.torch import SequentialTrainer, SequentialTrainerCfg
 from torch import nn
 
-from manywake import CylinderJetsVectorEnv
+from manywake import FlowVectorEnv
 
 
 def layers(inputs: int, outputs: int) -> nn.Sequential:
@@ -53,25 +53,25 @@ class Critic(DeterministicMixin, Model):
 
 
 def train(
-    actions: int = 20480,
+    total: int = 20480,
     flows: int = 8,
-    actions_per_episode: int = 160,
-    action_interval: float = 0.025,
+    actions: int = 160,
+    interval: float = 0.025,
     seed: int = 0,
 ) -> PPO:
     """Train for a number of actions, all flows counted; return the agent.
 
     Args:
-        actions: Actions in all.
+        total: Actions in all.
         flows: Flows advanced side by side, at least 2: skrl resets a single environment itself.
-        actions_per_episode: Horizon of an episode.
-        action_interval: Time between actions.
+        actions: Horizon of an episode.
+        interval: Time between actions.
         seed: Of weights and exploration.
     """
     skrl.config.torch.device = "cpu"
     torch.manual_seed(seed)
     torch.set_num_threads(1)  # networks this small are slower on more
-    batch = CylinderJetsVectorEnv(flows, actions_per_episode=actions_per_episode, action_interval=action_interval)
+    batch = FlowVectorEnv(flows, actions=actions, interval=interval)
     watched = RecordEpisodeStatistics(batch)
     environment = wrap_env(watched, wrapper="gymnasium", verbose=False)
     spaces = {
@@ -79,7 +79,7 @@ def train(
         "action_space": environment.action_space,
         "device": environment.device,
     }
-    rollout = 2 * (actions_per_episode + 1)
+    rollout = 2 * (actions + 1)
     settings = PPO_CFG(
         rollouts=rollout,
         learning_epochs=5,
@@ -96,7 +96,7 @@ def train(
         cfg=settings,
         **spaces,
     )
-    steps = SequentialTrainerCfg(timesteps=actions // flows, headless=True, close_environment_at_exit=False)
+    steps = SequentialTrainerCfg(timesteps=total // flows, headless=True, close_environment_at_exit=False)
     try:
         SequentialTrainer(cfg=steps, env=environment, agents=agent).train()
     finally:

@@ -42,14 +42,15 @@ def advection(space, mean):
 
 
 def damping(case, space):
-    """Return the stiffness for the viscosity of eq. 15."""
+    """Return the stiffness for the viscosity of eq. 15: jets on the case's first body, a circle about the origin."""
     basis = skfem.Basis(space.velocity.mesh, skfem.ElementTriP2(), intorder=5)
     viscosity = np.zeros(basis.dx.shape)
     x, y = np.asarray(basis.global_coordinates())
-    for jet in case.jets:
-        angle, width = np.radians(jet.angle), np.radians(jet.width) * case.radius
+    (body,) = case.bodies
+    for start, end in body.parts.values():
+        angle, width = np.radians(0.5 * (start + end)), np.radians(end - start) * body.radius
         peak = np.pi * 0.01 / (2 * width)
-        squared = (x - case.radius * np.cos(angle)) ** 2 + (y - case.radius * np.sin(angle)) ** 2
+        squared = (x - body.radius * np.cos(angle)) ** 2 + (y - body.radius * np.sin(angle)) ** 2
         viscosity += case.scheme.damping * case.time_step * peak**2 * np.exp(-squared / (2 * width) ** 2)
     form = skfem.BilinearForm(lambda u, v, w: w.nu * (u.grad[0] * v.grad[0] + u.grad[1] * v.grad[1]))
     return form.assemble(basis, nu=viscosity)
@@ -103,12 +104,79 @@ def product(matrix, x, component):
     return (matrix @ x[:, component])[:, None]
 
 
+def around(space, names):
+    """Yield the facets of named boundaries one by one, at the points of a Gauss rule that is exact to degree 7.
+
+    A facet is its three nodes, the values of their functions at the points (3, 4), the slopes of these along the facet
+    (3, 4), times ds, and n ds (4, 2), out of the fluid; with the weights (4,) of the points. A facet is run through so
+    that n is on its right.
+    """
+    points, weights = np.polynomial.legendre.leggauss(4)
+    s, weights = 0.5 + 0.5 * points, 0.5 * weights
+    values = np.stack([(1 - s) * (1 - 2 * s), 4 * s * (1 - s), s * (2 * s - 1)])
+    slopes = np.stack([4 * s - 3, 4 - 8 * s, 4 * s - 1])
+    wanted = {frozenset(facet) for name in names for facet in space.mesh.boundaries[name].tolist()}
+    for element in space.nodes.tolist():
+        for a, b, third, middle in ((0, 1, 2, 3), (1, 2, 0, 4), (2, 0, 1, 5)):
+            ends = element[a], element[b]
+            if frozenset(ends) not in wanted:
+                continue
+            nodes = [ends[0], element[middle], ends[1]]
+            x = space.x[nodes]
+            inwards, along = space.x[element[third]] - x[1], x[2] - x[0]
+            if along[0] * inwards[1] - along[1] * inwards[0] < 0:  # the fluid is on the right
+                nodes, x = nodes[::-1], x[::-1]
+            tangent = slopes.T @ x
+            yield nodes, values, slopes, np.stack([tangent[:, 1], -tangent[:, 0]], axis=1), weights
+
+
+def wall(space, names, phi, u):
+    """Return minus the integral of phi_i n_j d u_j / d x_i over boundaries, u free of divergence.
+
+    There n_j d u_j / d x_i is e_z x du/ds, with s along the facet: it turns x into y, and y into -x.
+    """
+    total = 0.0
+    for nodes, values, slopes, _, weights in around(space, names):
+        f, du = values.T @ phi[nodes], slopes.T @ u[nodes]
+        total -= np.sum(weights * (f[:, 1] * du[:, 0] - f[:, 0] * du[:, 1]))
+    return total
+
+
+def momentum(space, names, phi, u):
+    """Return the integral of phi . u (u . n) over boundaries."""
+    total = 0.0
+    for nodes, values, _, normal, weights in around(space, names):
+        f, at = values.T @ phi[nodes], values.T @ u[nodes]
+        total += np.sum(weights * (f * at).sum(axis=1) * (at * normal).sum(axis=1))
+    return total
+
+
+def functionals(case, space, profiles):
+    """Return what is read by name: where, the field phi that the traction is tested with, its scale, and whether the
+    fluid's momentum through the wall counts."""
+    (body,) = case.bodies
+    pieces = ["cylinder", "cylinder.top", "cylinder.bottom"]
+    nodes, shape = space.boundary_nodes(pieces), space.x.shape
+    along_x, along_y, turn = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    along_x[nodes, 0] = along_y[nodes, 1] = 1.0
+    turn[nodes, 0], turn[nodes, 1] = -(space.x[nodes, 1] - body.centre[1]), space.x[nodes, 0] - body.centre[0]
+    length, speed = case.scales.length, case.scales.velocity
+    force = 2.0 / (length * speed**2)
+    return {
+        "c_d.cylinder": (pieces, along_x, force, True),
+        "c_l.cylinder": (pieces, along_y, force, True),
+        "c_m.cylinder": (pieces, turn, force / length, True),
+        "work.cylinder.top": (["cylinder.top"], profiles[0], -force / speed, False),
+        "work.cylinder.bottom": (["cylinder.bottom"], profiles[1], -force / speed, False),
+    }
+
+
 def step(case, space, start, jets, profiles, boundaries, mean):
-    """Advance one flow by one step in scikit-fem's order; return u, p, phi and (C_D, C_L).
+    """Advance one flow by one step in scikit-fem's order; return u, p, phi and what is read, by name.
 
     jets: (2,) flow rates. profiles: (2, n, 2) velocity of the jets at unit flow rate. boundaries: dict with the
-    velocity nodes `fixed` and `body`, the inlet data `steady` (n, 2), the pressure nodes `pressure`, and `thrust`
-    (2, 2), the momentum flux of the jets at unit flow rate. mean: (n, 2), zero where the scheme has none.
+    velocity nodes `fixed`, the inlet data `steady` (n, 2) and the pressure nodes `pressure`. mean: (n, 2), zero where
+    the scheme has none.
     """
     scheme, dt, nu = case.scheme, case.time_step, case.viscosity
     M, K = space.mass, space.stiffness
@@ -136,13 +204,16 @@ def step(case, space, start, jets, profiles, boundaries, mean):
     phi[inner] = np.linalg.solve(space.pressure_stiffness[inner][:, inner].toarray(), -a / dt * divergence[inner])
     p = start.p + phi
 
-    force = np.zeros(2)
+    residual = np.empty((n, 2))
     for c in range(2):
-        residual = A @ u[:, c] - M @ w[:, c] / dt + (1 - theta) * nu * (K @ w[:, c]) + C[:, c]
-        residual = residual - space.divergence[c].T @ p
-        flux = sum(boundaries["thrust"][j, c] * jets[j] ** 2 for j in range(len(jets)))
-        force[c] = -residual[boundaries["body"]].sum() + flux
-    return u, p, phi, 2.0 * force / case.diameter
+        residual[:, c] = A @ u[:, c] - M @ w[:, c] / dt + (1 - theta) * nu * (K @ w[:, c]) + C[:, c]
+        residual[:, c] -= space.divergence[c].T @ p
+    blown = np.einsum("j,jnc->nc", jets, profiles)
+    read = {}
+    for name, (pieces, tested, scale, counts) in functionals(case, space, profiles).items():
+        value = -(tested * residual).sum() + nu * wall(space, pieces, tested, u)
+        read[name] = scale * (value + momentum(space, pieces, tested, blown) * counts)
+    return u, p, phi, read
 
 
 def triangles(panels):

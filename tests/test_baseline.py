@@ -6,11 +6,20 @@ import json
 import numpy as np
 import pytest
 
-from manywake.flow import baseline, case, operators
+from manywake.case import Pressure
+from manywake.case.describe import flow_digest
+from manywake.flow import baseline, problem, store
 from manywake.flow.batch import FlowBatch
-from manywake.flow.case import CASES, Case
+from manywake.suite import load
+from manywake.suite.cylinder_jets import CASE
 
-cases = pytest.mark.parametrize("name", sorted(CASES))
+cases = pytest.mark.parametrize("name", load.names())
+
+
+def kept(name="cylinder-jets"):
+    """Return a shipped case, and the path of its baseline, beside its file."""
+    definition = load.load(name)
+    return definition.case, definition.file.with_suffix(".npz")
 
 
 def rewritten(source, target, **changes):
@@ -25,48 +34,62 @@ def rewritten(source, target, **changes):
 
 @cases
 def test_shipped_baselines_match_their_hash_and_their_case(name):
-    path = baseline.shipped_path(CASES[name])
-    loaded = baseline.load(path)
+    chosen, path = kept(name)
+    loaded = baseline.load(path, chosen)
     with np.load(path) as data:
         assert loaded.digest() == json.loads(str(data["description"]))["digest"]
-    assert loaded.flow_digest == CASES[name].flow_digest()
+    assert loaded.flow_digest == flow_digest(chosen)
     assert loaded.mean.shape == loaded.start.u.shape
-    assert set(loaded.mesh.boundaries) == {"wall", "inlet", "outlet", "cylinder", "jet0", "jet1"}
+    sides, body = {"bottom", "top", "left", "right"}, {"cylinder", "cylinder.top", "cylinder.bottom"}
+    assert set(loaded.mesh.boundaries) == sides | body
+    assert set(loaded.mesh.curves) == body
+
+
+def test_every_baseline_that_is_shipped_is_of_a_shipped_case():
+    assert store.shipped() == sorted(kept(name)[1] for name in load.names())
 
 
 def test_shipped_cases_share_one_mesh():
-    one, other = (baseline.load(baseline.shipped_path(CASES[name])).mesh for name in sorted(CASES))
+    one, other = (baseline.load(path, chosen).mesh for chosen, path in map(kept, load.names()))
     assert one.digest() == other.digest()
 
 
 @cases
 def test_start_state_continues_the_karman_street(name):
-    chosen = CASES[name]
-    ops, base = baseline.assembled(chosen)
+    chosen, _ = kept(name)
+    flow = store.flow(chosen)
+    ops, base = flow.operators, flow.baseline
     period = int(round(base.shedding.period / chosen.time_step))
-    c_d, c_l = FlowBatch(ops, base.start, 1).advance(np.zeros((period, 2, 1)))[:, :, 0].T
+    c_d, c_l = FlowBatch(ops, base.start, 1).advance(np.zeros((period, 2, 1)))[:, :2, 0].T
     assert c_d.mean() == pytest.approx(base.shedding.cd_mean, rel=1e-3)
     assert c_d.max() == pytest.approx(base.shedding.cd_max, rel=1e-3)
     assert c_l.max() == pytest.approx(base.shedding.cl_max, rel=1e-2)
     # it starts at an upward crossing of the middle of C_L
     assert abs(c_l[0] - 0.5 * (c_l.max() + c_l.min())) < 0.05
     assert c_l[10] > c_l[0]
+    # and the mean of each reading is that of the statistics
+    assert base.free["c_d"] == base.free["c_d.cylinder"] == base.shedding.cd_mean
+    assert base.free["c_l"] == base.free["c_l.cylinder"] == base.shedding.cl_mean
 
 
 @cases
 def test_steady_flow_has_less_drag_than_shedding(name):
-    base = baseline.load(baseline.shipped_path(CASES[name]))
-    assert base.cd_steady == pytest.approx(2.942, rel=5e-3)
-    assert base.cd_steady < base.shedding.cd_min
+    chosen, path = kept(name)
+    base = baseline.load(path, chosen)
+    assert base.steady["c_d"] == pytest.approx(2.942, rel=5e-3)
+    assert base.steady["c_d"] < base.shedding.cd_min
 
 
 def test_a_saved_baseline_is_the_same_when_loaded(base, tmp_path):
     path = tmp_path / "deep" / "copy.npz"
     baseline.save(base, path)
-    copy = baseline.load(path)
+    copy = baseline.load(path, CASE)
     assert copy.digest() == base.digest()
-    assert (copy.shedding, copy.cd_steady, copy.cl_steady) == (base.shedding, base.cd_steady, base.cl_steady)
+    assert (copy.shedding, copy.free, copy.steady) == (base.shedding, base.free, base.steady)
     assert [file.name for file in path.parent.iterdir()] == ["copy.npz"]
+
+
+SENSORS = (Pressure("mine", ((0.3, 0.0),)),)
 
 
 def nudged(array):
@@ -77,25 +100,33 @@ def nudged(array):
 
 @pytest.mark.parametrize("part", ["start_u", "start_phi_old", "points", "mean"])
 def test_a_file_with_a_changed_number_is_refused(part, tmp_path):
-    path = rewritten(baseline.shipped_path(case.by_name("cylinder-jets")), tmp_path / "bad.npz", **{part: nudged})
+    path = rewritten(kept()[1], tmp_path / "bad.npz", **{part: nudged})
     with pytest.raises(ValueError, match="does not match its hash; delete the file and run again"):
-        baseline.load(path)
+        baseline.load(path, CASE)
 
 
-def test_a_file_with_a_changed_uncontrolled_drag_is_refused(tmp_path):
+@pytest.mark.parametrize("name", ["cd_mean", "c_d"])
+def test_a_file_with_a_changed_uncontrolled_drag_is_refused(name, tmp_path):
     def cheaper(description):
-        return np.array(str(description).replace('"cd_mean": 3.', '"cd_mean": 4.'))
+        changed = str(description).replace(f'"{name}": 3.', f'"{name}": 4.')
+        assert changed != str(description)
+        return np.array(changed)
 
-    path = rewritten(baseline.shipped_path(case.by_name("cylinder-jets")), tmp_path / "bad.npz", description=cheaper)
+    path = rewritten(kept()[1], tmp_path / "bad.npz", description=cheaper)
     with pytest.raises(ValueError, match="does not match its hash"):
-        baseline.load(path)
+        baseline.load(path, CASE)
+
+
+def test_a_file_of_another_flow_is_refused():
+    with pytest.raises(ValueError, match="is of another flow than this case; make it anew"):
+        baseline.load(kept("cylinder-jets-goda")[1], CASE)
 
 
 def test_a_file_cut_short_is_refused_with_remedy(tmp_path):
     path = tmp_path / "short.npz"
-    path.write_bytes(baseline.shipped_path(case.by_name("cylinder-jets")).read_bytes()[:100_000])
+    path.write_bytes(kept()[1].read_bytes()[:100_000])
     try:
-        baseline.load(path)
+        baseline.load(path, CASE)
         answer = "loaded"
     except Exception as error:  # kept as text: the traceback would hold the file open beyond this test
         answer = f"{type(error).__name__}: {error}"
@@ -107,19 +138,19 @@ def test_an_unwritable_cache_is_refused_with_remedy(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("a file is no folder, for root neither")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file" / "below"))
     with pytest.raises(RuntimeError, match="cache: cannot write .*; make it writable or set XDG_CACHE_HOME"):
-        baseline.get(Case("new", time_step=4e-4))
+        store.get(dataclasses.replace(CASE, time_step=4e-4))
 
 
 def test_the_cache_tells_flows_apart_and_lies_where_the_user_wants(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    one = Case("one", time_step=4e-4)
-    assert tmp_path in baseline.cache_path(one).parents
-    assert baseline.cache_path(one) == baseline.cache_path(dataclasses.replace(one, name="other"))
-    assert baseline.cache_path(one) != baseline.cache_path(dataclasses.replace(one, reynolds=90.0))
+    one = dataclasses.replace(CASE, time_step=4e-4)
+    assert tmp_path in store.cache_path(one).parents
+    assert store.cache_path(one) == store.cache_path(dataclasses.replace(one, sensors=SENSORS))
+    assert store.cache_path(one) != store.cache_path(dataclasses.replace(one, reynolds=90.0))
 
 
-def test_a_case_of_another_name_but_the_same_flow_uses_the_shipped_baseline(base):
-    found = baseline.get(Case("mine", probes=((0.3, 0.0),)))
+def test_a_case_with_other_sensors_but_the_same_flow_uses_the_shipped_baseline(base):
+    found = store.get(dataclasses.replace(CASE, sensors=SENSORS))
     assert found.digest() == base.digest()
 
 
@@ -128,15 +159,15 @@ def test_phases_are_spread_over_one_period(ops, base):
     assert len(states) == 2
     np.testing.assert_array_equal(states[0].u, base.start.u)
     flow = FlowBatch(ops, states[1], 1)
-    _, c_l = flow.advance(np.zeros((10, 2, 1)))[:, :, 0].T
+    _, c_l = flow.advance(np.zeros((10, 2, 1)))[:, :2, 0].T
     # half a period on, C_L crosses its middle downwards
     assert c_l[9] < c_l[0]
     assert abs(c_l[0] - base.shedding.cl_mean) < 0.2
 
 
 def test_kicked_rest_is_at_rest_but_for_the_gust(ops):
-    start = baseline.kicked(ops)
+    start = baseline.kicked(CASE, ops)
     assert not start.u[:, 0].any()
     assert 0.2 < start.u[:, 1].max() <= 0.3
     assert not start.u[ops.velocity_order[ops.free :]].any()
-    assert operators.boundary_flux(ops.space, ops.space.facets("cylinder"), start.u)[0] == pytest.approx(0.0, abs=1e-15)
+    assert problem.boundary_flux(ops.space, ops.space.facets("cylinder"), start.u)[0] == pytest.approx(0.0, abs=1e-15)

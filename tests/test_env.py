@@ -10,20 +10,25 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from manywake.env import task as tasks
-from manywake.env.env import CylinderJetsEnv, CylinderJetsVectorEnv
-from manywake.env.task import PAPER, PRESSURE_LIMIT, REWARDS, TASKS, ControlledFlow, Task
-from manywake.flow import case, sensors
+from manywake.case.case import readings
+from manywake.case.laws import Exponential, Held, Linear
+from manywake.case.task import PAIR, balanced, pairs, twice_the_drag
+from manywake.env.control import OBSERVATION_LIMIT, ControlledFlows
+from manywake.env.env import FlowEnv, FlowVectorEnv
 from manywake.flow.batch import FlowBatch, Start
+from manywake.suite import load
+from manywake.suite.cylinder_jets import CASE, PROBES, PROTOCOLS, REWARDS, TASK
 
 ID = "manywake/CylinderJets-v0"
 
-SHORT = {"action_interval": 0.002, "actions_per_episode": 3}
+SHORT = {"interval": 0.002, "actions": 3}
 """Two solver steps an action, three actions an episode."""
+READINGS = ("c_d", "c_l", "c_m", "c_d.cylinder", "c_l.cylinder", "c_m.cylinder", "power")
+LAWS = {"exponential": Exponential(0.1, per=5e-4), "linear": Linear(), "held": Held()}
 
 
-def actions(steps, flows, seed=0):
-    return np.random.default_rng(seed).uniform(-1, 1, (steps, flows, 1)).astype(np.float32)
+def actions(steps, flows, seed=0, each=1):
+    return np.random.default_rng(seed).uniform(-1, 1, (steps, flows, each)).astype(np.float32)
 
 
 def spoilt(start, value):
@@ -32,7 +37,7 @@ def spoilt(start, value):
 
 
 def vector(flows, mode=AutoresetMode.NEXT_STEP, **settings):
-    return CylinderJetsVectorEnv(flows, autoreset_mode=mode, **(SHORT | settings))
+    return FlowVectorEnv(flows, autoreset_mode=mode, **(SHORT | settings))
 
 
 # ---- Gymnasium's contract
@@ -55,7 +60,7 @@ def test_spaces_are_151_pressures_and_one_action(made):
     assert made.observation_space.shape == (151,)
     assert made.observation_space.dtype == np.float32
     assert made.action_space == gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
-    velocity = gymnasium.make(ID, observation="velocity", **SHORT)
+    velocity = gymnasium.make(ID, observe=("velocity",), **SHORT)
     observation, _ = velocity.reset(seed=0)
     assert velocity.observation_space.contains(observation)
     assert observation.shape == (302,)
@@ -63,7 +68,7 @@ def test_spaces_are_151_pressures_and_one_action(made):
 
 def test_make_vec_gives_the_true_batch():
     batch = gymnasium.make_vec(ID, num_envs=3, vectorization_mode="vector_entry_point", **SHORT)
-    assert isinstance(batch.unwrapped, CylinderJetsVectorEnv)
+    assert isinstance(batch.unwrapped, FlowVectorEnv)
     assert batch.num_envs == 3
     observation, info = batch.reset(seed=0)
     assert observation.shape == (3, 151)
@@ -76,16 +81,19 @@ def test_make_vec_gives_the_true_batch():
 
 def test_info_names_what_the_issue_names(made):
     _, info = made.reset(seed=0)
-    assert set(info) == {"jets", "time", "diverged"}  # no action yet, no mean of C_D and C_L over it
+    assert set(info) == {"amplitudes", "time", "diverged"}  # no action yet, no mean of C_D and C_L over it
     assert "drag positive downstream, lift positive up" in made.metadata["coefficients"]
     _, _, _, _, info = made.step(np.zeros(1, np.float32))
-    assert set(info) == {"c_d", "c_l", "jets", "time", "diverged"}
+    assert set(info) == {*READINGS, "amplitudes", "time", "diverged"}
+    assert READINGS == readings(CASE)
     assert info["c_d"] == pytest.approx(3.17, abs=0.02)
     assert abs(info["c_l"]) < 0.05
+    assert (info["c_d.cylinder"], info["c_l.cylinder"]) == (info["c_d"], info["c_l"])
+    assert info["power"] == 0.0
     _, _, _, _, info = made.step(np.array([0.5], np.float32))
-    assert info["jets"].shape == (2,)
-    assert info["jets"].sum() == 0.0
-    assert info["jets"][0] > 0
+    assert info["amplitudes"].shape == (2,)
+    assert info["amplitudes"].sum() == 0.0
+    assert info["amplitudes"][0] > 0
     assert info["time"] == pytest.approx(0.004)
     assert info["diverged"] is False
 
@@ -102,15 +110,16 @@ def test_every_episode_starts_from_the_same_state(made):
     made.step(np.ones(1, np.float32))
     again, info = made.reset(seed=1)
     np.testing.assert_array_equal(again, first)
-    assert not info["jets"].any()
+    assert not info["amplitudes"].any()
 
 
 def test_settings_are_those_named_in_the_call():
-    env = CylinderJetsEnv(task=PAPER, **SHORT)
-    assert env.task == dataclasses.replace(PAPER, **SHORT)
-    assert CylinderJetsEnv(task="paper").task.actions_per_episode == 80
-    assert CylinderJetsEnv(task="paper").task.steps(5e-4) == 50
-    assert CylinderJetsEnv(probes=((0.3, 0.0),)).observation_space.shape == (1,)
+    paper = PROTOCOLS["paper"][0]
+    env = FlowEnv(task=paper, **SHORT)
+    assert env.task == dataclasses.replace(paper, **SHORT)
+    assert FlowEnv(task="paper").task.actions == 80
+    assert FlowEnv(task="paper").task.steps(5e-4) == 50
+    assert FlowEnv(**{"points.pressure": ((0.3, 0.0),)}).observation_space.shape == (1,)
 
 
 # ---- a column of the batch is a single environment
@@ -120,7 +129,7 @@ def test_settings_are_those_named_in_the_call():
 def test_a_column_has_the_bits_of_the_single_environment(flows):
     plan = actions(3, flows)
     batch = vector(flows)
-    single = CylinderJetsEnv(**SHORT)
+    single = FlowEnv(**SHORT)
     columns = {0, flows // 2, flows - 1}
     results = [batch.reset(seed=0)[0]], [batch.step(action) for action in plan]
     for column in columns:
@@ -140,7 +149,7 @@ def test_a_column_has_the_bits_of_the_single_environment(flows):
 def assert_same_step(ours, twin, mode):
     for a, b in zip(ours[:4], twin[:4], strict=True):
         np.testing.assert_array_equal(a, b)
-    for key in ("c_d", "c_l", "jets", "time", "diverged"):
+    for key in (*READINGS, "amplitudes", "time", "diverged"):
         if key not in twin[4]:  # Gymnasium leaves out what no environment tells
             assert not ours[4][f"_{key}"].any()
             continue
@@ -158,7 +167,7 @@ def assert_same_step(ours, twin, mode):
             np.testing.assert_array_equal(ours[4]["final_obs"][column], twin[4]["final_obs"][column])
         else:
             assert ours[4]["final_obs"][column] is None
-    for key in ("c_d", "c_l", "jets", "time", "diverged"):
+    for key in (*READINGS, "amplitudes", "time", "diverged"):
         mine, theirs = ours[4]["final_info"], twin[4]["final_info"]
         np.testing.assert_array_equal(mine[key][ended], theirs[key][ended])
         np.testing.assert_array_equal(mine[f"_{key}"], theirs[f"_{key}"])
@@ -168,7 +177,7 @@ def assert_same_step(ours, twin, mode):
 def test_autoreset_is_gymnasiums(mode):
     plan = actions(8, 2)
     batch = vector(2, mode)
-    twin = SyncVectorEnv([lambda: CylinderJetsEnv(**SHORT)] * 2, autoreset_mode=mode)
+    twin = SyncVectorEnv([lambda: FlowEnv(**SHORT)] * 2, autoreset_mode=mode)
     assert batch.metadata["autoreset_mode"] == mode
     np.testing.assert_array_equal(batch.reset(seed=0)[0], twin.reset(seed=0)[0])
     for action in plan:
@@ -180,10 +189,10 @@ def test_autoreset_is_gymnasiums(mode):
 def test_autoreset_is_gymnasiums_when_flows_end_at_different_times(mode):
     plan = actions(6, 3)
     batch = vector(3, mode)
-    twin = SyncVectorEnv([lambda: CylinderJetsEnv(**SHORT)] * 3, autoreset_mode=mode)
+    twin = SyncVectorEnv([lambda: FlowEnv(**SHORT)] * 3, autoreset_mode=mode)
     batch.reset(seed=0)
     twin.reset(seed=0)
-    start = spoilt(batch._flows.flow.state(0), 1e4)
+    start = spoilt(batch._flows.batch.state(0), 1e4)
     for k, action in enumerate(plan):
         if k == 1:
             batch._flows.reset([1], start)
@@ -202,7 +211,7 @@ def test_next_step_spends_a_step_on_the_reset():
     observation, reward, terminated, truncated, info = batch.step(actions(1, 2)[0])
     np.testing.assert_array_equal(observation, first)
     assert not reward.any() and not terminated.any() and not truncated.any()
-    assert not info["time"].any() and not info["jets"].any()
+    assert not info["time"].any() and not info["amplitudes"].any()
 
 
 def test_same_step_gives_the_final_observation_beside_the_new_one():
@@ -259,10 +268,10 @@ def test_sb3_gets_terminal_observation_and_time_limit():
 def test_sb3_sees_a_flow_that_blew_up_as_an_end_and_not_as_a_time_limit():
     from stable_baselines3.common.vec_env import DummyVecEnv
 
-    wrapped = DummyVecEnv([lambda: CylinderJetsEnv(**SHORT)] * 2)
+    wrapped = DummyVecEnv([lambda: FlowEnv(**SHORT)] * 2)
     wrapped.reset()
     flows = wrapped.envs[0]._batch._flows
-    flows.reset([0], spoilt(flows.flow.state(0), np.nan))
+    flows.reset([0], spoilt(flows.batch.state(0), np.nan))
     _, _, done, infos = wrapped.step(np.zeros((2, 1), np.float32))
     assert done.tolist() == [True, False]
     assert infos[0]["TimeLimit.truncated"] is False
@@ -278,16 +287,16 @@ def test_a_flow_that_blows_up_ends_alone_finite_and_at_a_price(value):
     batch, twin = vector(5, AutoresetMode.DISABLED), vector(5, AutoresetMode.DISABLED)
     batch.reset(seed=0)
     twin.reset(seed=0)
-    batch._flows.reset([3], spoilt(batch._flows.flow.state(0), value))
+    batch._flows.reset([3], spoilt(batch._flows.batch.state(0), value))
     ours, good = batch.step(plan[0]), twin.step(plan[0])
     assert ours[2].tolist() == [False, False, False, True, False]
     assert not ours[3].any()
     assert ours[4]["diverged"].tolist() == ours[2].tolist()
     assert batch.observation_space.contains(ours[0])
-    assert all(np.isfinite(ours[4][key]).all() for key in ("jets", "time"))
-    assert all(np.isnan(ours[4][key]).tolist() == ours[2].tolist() for key in ("c_d", "c_l"))
+    assert all(np.isfinite(ours[4][key]).all() for key in ("amplitudes", "time"))
+    assert all(np.isnan(ours[4][key]).tolist() == ours[2].tolist() for key in READINGS)
     # worse than three more actions of anything a flow does, and than leaving the flow alone
-    assert ours[1][3] == pytest.approx(-3 * batch._flows.cd_uncontrolled)
+    assert ours[1][3] == pytest.approx(-3 * batch._flows.free["c_d"])
     others = [0, 1, 2, 4]
     for a, b in zip(ours[:2], good[:2], strict=True):
         np.testing.assert_array_equal(a[others], b[others])
@@ -299,26 +308,27 @@ def test_a_flow_that_blows_up_ends_alone_finite_and_at_a_price(value):
 
 
 @pytest.mark.parametrize("reward", REWARDS)
-def test_blowing_up_never_pays(reward, ops, base):
-    flows = ControlledFlow(ops, base, Task(reward=reward, action_interval=0.001, actions_per_episode=4), 2)
+def test_blowing_up_never_pays(reward, shipped, base):
+    task = dataclasses.replace(TASK, reward=REWARDS[reward], interval=0.001, actions=4)
+    flows = ControlledFlows(shipped, task, 2)
     flows.reset([1], spoilt(base.start, np.nan))
-    outcome = flows.act(np.zeros(2))
+    outcome = flows.act(np.zeros((2, 1)))
     assert outcome.diverged.tolist() == [False, True]
     assert outcome.reward[1] < 4 * outcome.reward[0]
-    worst = REWARDS[reward](np.float64(4.0), np.float64(1.2), base.shedding.cd_mean)
+    worst = REWARDS[reward]({"c_d": 4.0, "c_l": 1.2}, base.free)
     assert outcome.reward[1] < 4 * worst
 
 
 def test_a_flow_that_blows_up_at_the_horizon_is_terminated_not_truncated():
-    env = CylinderJetsEnv(**SHORT)
+    env = FlowEnv(**SHORT)
     env.reset(seed=0)
     for _ in range(2):
         env.step(np.zeros(1, np.float32))
     flows = env._batch._flows
-    flows.flow.reset([0], spoilt(flows.flow.state(0), np.nan))
+    flows.batch.reset([0], spoilt(flows.batch.state(0), np.nan))
     _, reward, terminated, truncated, info = env.step(np.zeros(1, np.float32))
     assert (terminated, truncated, info["diverged"]) == (True, False, True)
-    assert reward == pytest.approx(-flows.cd_uncontrolled)
+    assert reward == pytest.approx(-flows.free["c_d"])
 
 
 # ---- the door
@@ -326,7 +336,7 @@ def test_a_flow_that_blows_up_at_the_horizon_is_terminated_not_truncated():
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_an_action_that_is_not_finite_is_refused(bad):
-    env = CylinderJetsEnv(**SHORT)
+    env = FlowEnv(**SHORT)
     env.reset(seed=0)
     with pytest.raises(ValueError, match=rf"action: got {bad}, wanted finite numbers in \[-1, 1\]"):
         env.step(np.array([bad], np.float32))
@@ -338,7 +348,7 @@ def test_an_action_that_is_not_finite_is_refused(bad):
 
 @pytest.mark.parametrize("shape", [(), (2,), (1, 1)])
 def test_an_action_of_the_wrong_shape_is_refused(shape):
-    env = CylinderJetsEnv(**SHORT)
+    env = FlowEnv(**SHORT)
     env.reset(seed=0)
     with pytest.raises(ValueError, match=r"action: got shape \(.*\), wanted \(1,\)"):
         env.step(np.zeros(shape, np.float32))
@@ -356,28 +366,25 @@ def test_actions_of_the_wrong_shape_are_refused(shape):
     ("settings", "message"),
     [
         ({"case": "sphere"}, "case: got 'sphere', wanted one of cylinder-jets"),
-        ({"task": "easy"}, "task: got 'easy', wanted one of default, paper, code"),
-        ({"smoothing": 0.1}, "got the setting 'smoothing', wanted one of .*alpha"),
-        ({"reward": "money"}, "reward: got 'money', wanted one of paper"),
-        ({"control": "pid"}, "control: got 'pid', wanted one of exponential, linear, step"),
-        ({"observation": "vorticity"}, "observation: got 'vorticity', wanted one of pressure, velocity"),
-        ({"alpha": 0.0}, r"alpha: got 0, wanted a value in \(0, 1\]"),
-        ({"alpha": math.nan}, "alpha: got nan, wanted"),
-        ({"actions_per_episode": 1}, "actions_per_episode: got 1, wanted at least 2"),
-        ({"max_flow_rate": 1.0}, "max_flow_rate: got 1, wanted"),
-        ({"probes": ((0.0, 0.0),)}, "probe 0: got .* inside the cylinder; wanted"),
+        ({"task": "easy"}, "protocol: got 'easy', wanted one of default, paper, code"),
+        ({"smoothing": 0.1}, r"got the setting 'smoothing', wanted one of .*law\.alpha"),
+        ({"reward": "money"}, "reward: got 'money', wanted one of reduction, paper"),
+        ({"law": "pid"}, "law: got 'pid', wanted one of linear, held, exponential"),
+        ({"observe": ("vorticity",)}, "observe: got 'vorticity', wanted some of pressure, velocity"),
+        ({"law.alpha": 0.0}, r"alpha: got 0, wanted a value in \(0, 1\]"),
+        ({"law.alpha": math.nan}, "alpha: got nan, wanted"),
+        ({"actions": 1}, "actions: got 1, wanted at least 2"),
+        ({"limit": 1.0}, "Jet: got the limit 1, wanted"),
+        ({"points.pressure": ((0.0, 0.0),)}, "point 0 is .* inside 'cylinder'; wanted"),
         ({"time_step": 2e-3}, "time_step: got 0.002, wanted"),
-        (
-            {"action_interval": 0.0252},
-            "action_interval: got 0.0252, wanted a multiple of the time step 0.001; the nearest is 0.025",
-        ),
-        ({"action_interval": 0.0}, "action_interval: got 0, wanted a multiple"),
-        ({"action_interval": -0.025}, "action_interval: got -0.025, wanted a multiple"),
-        ({"action_interval": math.nan}, "action_interval: got nan, wanted a multiple"),
-        ({"action_interval": math.inf}, "action_interval: got inf, wanted a multiple"),
+        ({"interval": 0.0252}, "interval: got 0.0252, wanted a multiple of the time step 0.001; the nearest is 0.025"),
+        ({"interval": 0.0}, "interval: got 0, wanted a positive time"),
+        ({"interval": -0.025}, "interval: got -0.025, wanted a positive time"),
+        ({"interval": math.nan}, "interval: got nan, wanted a positive time"),
+        ({"interval": math.inf}, "interval: got inf, wanted a multiple"),
     ],
 )
-@pytest.mark.parametrize("make", [CylinderJetsEnv, CylinderJetsVectorEnv])
+@pytest.mark.parametrize("make", [FlowEnv, FlowVectorEnv])
 def test_bad_settings_are_refused(make, settings, message):
     with pytest.raises(ValueError, match=message):
         make(**settings)
@@ -393,10 +400,12 @@ def test_a_reset_mask_of_the_wrong_length_is_refused():
 # ---- control laws
 
 
-def series(control, action, before=0.0, previous=0.0, time_step=5e-4, **settings):
-    task = Task(control=control, **settings)
-    law = tasks.CONTROL_LAWS[control]
-    return law(task, time_step, np.array([before]), np.array([previous]), np.array([action]))[:, 0]
+def series(law, action, before=0.0, previous=0.0, time_step=5e-4, interval=0.025):
+    steps = dataclasses.replace(TASK, interval=interval).steps(time_step)
+    amplitude, last, wanted = (np.array([[value]]) for value in (before, previous, action))
+    found = LAWS[law].series(steps, time_step, amplitude, last, wanted)
+    assert found.shape == (steps, 1, 1)
+    return found[:, 0, 0]
 
 
 def test_exponential_reaches_1_minus_09_to_the_50_of_the_action():
@@ -433,29 +442,88 @@ def test_linear_reaches_the_action_exactly(previous, action):
     assert series("linear", action, previous=previous)[-1] == action
 
 
-def test_step_is_there_at_once():
-    np.testing.assert_array_equal(series("step", 0.01, before=-0.01, previous=-0.01), np.full(50, 0.01))
+def test_held_is_there_at_once():
+    np.testing.assert_array_equal(series("held", 0.01, before=-0.01, previous=-0.01), np.full(50, 0.01))
 
 
-@pytest.mark.parametrize("control", tasks.CONTROL_LAWS)
-def test_the_environment_s_jets_follow_the_law(control, ops):
-    env = CylinderJetsEnv(control=control, **SHORT)
+@pytest.mark.parametrize("law", LAWS)
+def test_a_law_treats_every_input_of_every_flow_by_itself(law):
+    rng = np.random.default_rng(0)
+    amplitude, previous, wanted = rng.uniform(-1, 1, (3, 2, 3))
+    found = LAWS[law].series(7, 1e-3, amplitude, previous, wanted)
+    assert found.shape == (7, 2, 3)
+    for i, b in np.ndindex(2, 3):
+        alone = [part[i : i + 1, b : b + 1] for part in (amplitude, previous, wanted)]
+        np.testing.assert_array_equal(found[:, i, b], LAWS[law].series(7, 1e-3, *alone)[:, 0, 0])
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_the_environment_s_jets_follow_the_law(law, ops):
+    env = FlowEnv(law=law, **SHORT)
+    assert env.task.law == LAWS[law]
     env.reset(seed=0)
     before = previous = 0.0
     for a in (1.0, -0.5, 7.0):
         info = env.step(np.array([a], np.float32))[4]
         wanted = 0.01 * min(a, 1.0)
-        before = series(control, wanted, before, previous, ops.case.time_step, action_interval=0.002)[-1]
+        before = series(law, wanted, before, previous, ops.time_step, interval=0.002)[-1]
         previous = wanted
-        np.testing.assert_array_equal(info["jets"], [before, -before])
+        np.testing.assert_array_equal(info["amplitudes"], [before, -before])
 
 
 def test_jets_of_one_paper_action_reach_99_5_percent():
-    env = CylinderJetsEnv()
+    env = FlowEnv()
     env.reset(seed=0)
     info = env.step(np.ones(1, np.float32))[4]
-    np.testing.assert_allclose(info["jets"], 0.01 * (1 - 0.9**50) * np.array([1, -1]), rtol=1e-12)
+    np.testing.assert_allclose(info["amplitudes"], 0.01 * (1 - 0.9**50) * np.array([1, -1]), rtol=1e-12)
     assert info["time"] == pytest.approx(0.025)
+
+
+# ---- several actions
+
+
+def test_two_actions_are_mixed_to_amplitudes_within_the_limits():
+    rows = np.array([[1.0, 0.5], [-1.0, 0.5]])
+    settings = SHORT | {"actions": 5, "limit.cylinder.bottom": 0.004}
+    env = FlowEnv(mixing=tuple(map(tuple, rows)), law=Held(), **settings)
+    assert env.action_space == gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+    env.reset(seed=0)
+    limits = np.array([0.01, 0.004])
+    for action in ((1.0, 1.0), (-1.0, 1.0), (0.5, -0.25), (0.0, 7.0)):
+        info = env.step(np.array(action, np.float32))[4]
+        np.testing.assert_allclose(info["amplitudes"], limits * (rows @ np.clip(action, -1, 1)) / 1.5, rtol=1e-12)
+        assert (abs(info["amplitudes"]) <= limits * (1 + 1e-12)).all()
+    with pytest.raises(ValueError, match=r"action: got shape \(1,\), wanted \(2,\)"):
+        env.step(np.zeros(1, np.float32))
+
+
+def test_without_a_mixing_every_input_has_an_action_of_its_own():
+    env = FlowEnv(mixing=None, law=Held(), **SHORT)
+    env.reset(seed=0)
+    info = env.step(np.array([0.5, 0.25], np.float32))[4]
+    np.testing.assert_array_equal(info["amplitudes"], [0.005, 0.0025])
+
+
+def test_one_pair_is_the_pair_bit_for_bit():
+    assert pairs(1) == PAIR
+    plan, ours, twin = actions(3, 2), vector(2, mixing=pairs(1)), vector(2)
+    ours.reset(seed=0)
+    twin.reset(seed=0)
+    for action in plan:
+        for a, b in zip(ours.step(action)[:4], twin.step(action)[:4], strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_balanced_actions_have_no_net_flux_and_follow_their_differences():
+    np.testing.assert_array_equal(np.array(balanced(2)), [[0.5, -0.5], [-0.5, 0.5]])
+    batch = vector(3, mixing=balanced(2), law=Held())
+    batch.reset(seed=0)
+    for action in actions(3, 3, each=2):
+        amplitudes = batch.step(action)[4]["amplitudes"]
+        np.testing.assert_array_equal(amplitudes.sum(axis=1), 0.0)
+        wanted = 0.01 * 0.5 * (action[:, 0].astype(float) - action[:, 1])
+        np.testing.assert_allclose(amplitudes[:, 0], wanted, rtol=1e-12)
+    assert abs(np.array(balanced(3)).sum(axis=0)).max() < 1e-15
 
 
 # ---- rewards and observations
@@ -473,19 +541,21 @@ def test_rewards_are_those_computed_by_hand():
     assert set(by_hand) == set(REWARDS)
     for name, wanted in by_hand.items():
         for c_l in (0.5, -0.5):
-            got = REWARDS[name](np.array([3.0, 3.0]), np.array([c_l, c_l]), 3.2)
-            np.testing.assert_allclose(got, [wanted, wanted], rtol=1e-12, err_msg=name)
+            got = REWARDS[name]({"c_d": 3.0, "c_l": c_l}, {"c_d": 3.2, "c_l": 0.0})
+            np.testing.assert_allclose(got, wanted, rtol=1e-12, err_msg=name)
 
 
 @pytest.mark.parametrize("name", REWARDS)
 def test_the_environment_pays_the_named_reward_of_its_mean_coefficients(name, ops, base):
-    env = CylinderJetsEnv(reward=name, **SHORT)
+    env = FlowEnv(reward=name, **SHORT)
     env.reset(seed=0)
     _, reward, _, _, info = env.step(np.ones(1, np.float32))
-    jets = series("exponential", 0.01, time_step=ops.case.time_step, action_interval=0.002)
-    c_d, c_l = FlowBatch(ops, base.start, 1).advance(np.stack([jets, -jets], axis=1)[:, :, None]).mean(axis=0)[:, 0]
+    jets = series("exponential", 0.01, time_step=ops.time_step, interval=0.002)
+    read = FlowBatch(ops, base.start, 1).advance(np.stack([jets, -jets], axis=1)[:, :, None])
+    c_d, c_l = read.mean(axis=0)[:2, 0]
     assert (info["c_d"], info["c_l"]) == pytest.approx((c_d, c_l), rel=1e-12)
-    assert reward == REWARDS[name](info["c_d"], info["c_l"], base.shedding.cd_mean)
+    assert reward == REWARDS[name](info, base.free)
+    assert base.free["c_d"] == base.shedding.cd_mean
 
 
 def reference_probes():
@@ -506,34 +576,95 @@ def reference_probes():
 def test_observation_is_the_pressure_at_the_reference_s_probes_in_its_order(ops):
     points = reference_probes()
     assert len(points) == 151
-    np.testing.assert_allclose(case.by_name("cylinder-jets").probes, points, atol=1e-10)
-    env = CylinderJetsEnv(**SHORT)
+    np.testing.assert_allclose(PROBES, points, atol=1e-10)
+    assert {sensor.name: sensor.points for sensor in CASE.sensors} == {"pressure": PROBES, "velocity": PROBES}
+    env = FlowEnv(**SHORT)
     env.reset(seed=0)
     observation = env.step(np.ones(1, np.float32))[0]
-    p = env._batch._flows.flow.state(0).p
+    p = env._batch._flows.batch.state(0).p
     wanted = ops.space.pressure.probes(np.array(points).T) @ p
     np.testing.assert_allclose(observation, wanted, atol=1e-6)
     assert observation.dtype == np.float32
 
 
 def test_observation_of_velocity_is_u_then_v_of_each_probe(ops, base):
-    env = CylinderJetsEnv(observation="velocity", probes=((0.1, 0.0), (0.2, 0.05)), **SHORT)
+    env = FlowEnv(observe=("velocity",), **{"points.velocity": ((0.1, 0.0), (0.2, 0.05))}, **SHORT)
     observation, _ = env.reset(seed=0)
     probes = ops.space.velocity.probes(np.array([(0.1, 0.0), (0.2, 0.05)]).T)
     np.testing.assert_allclose(observation, (probes @ base.start.u).ravel(), atol=1e-6)
-    assert set(sensors.OBSERVATIONS) == {"pressure", "velocity"}
+    assert set(ops.sensors) == {"pressure", "velocity"}
 
 
-def test_observation_stays_in_its_space_when_the_pressure_does_not(ops, base):
-    flows = ControlledFlow(ops, base, Task(), 2)
+def test_observation_stays_in_its_space_when_the_pressure_does_not(shipped, base):
+    flows = ControlledFlows(shipped, TASK, 2)
     flows.reset([0], Start(base.start.u, base.start.u_old, 1e6 * base.start.p, base.start.phi, base.start.phi_old))
     observation = flows.observe()
-    assert abs(observation[0]).max() == PRESSURE_LIMIT
+    assert abs(observation[0]).max() == OBSERVATION_LIMIT
     assert abs(observation[1]).max() < 10
 
 
 def test_tasks_by_name_are_the_papers_and_the_codes():
-    assert set(TASKS) == {"default", "paper", "code"}
-    assert (TASKS["paper"].control, TASKS["paper"].reward, TASKS["paper"].alpha) == ("exponential", "paper", 0.1)
-    assert (TASKS["code"].control, TASKS["code"].reward) == ("linear", "code")
-    assert all(TASKS[name].actions_per_episode == 80 for name in ("paper", "code"))
+    protocols = load.load("cylinder-jets").protocols
+    tasks = {name: task for name, (task, _) in protocols.items()}
+    assert set(tasks) == {"default", "paper", "code"}
+    assert (tasks["paper"].law, tasks["paper"].reward) == (Exponential(0.1, per=5e-4), REWARDS["paper"])
+    assert (tasks["code"].law, tasks["code"].reward) == (Linear(), REWARDS["code"])
+    assert all(tasks[name].actions == 80 for name in ("paper", "code"))
+
+
+def test_observation_of_readings_and_amplitudes_beside_sensors_in_the_order_asked_for(base):
+    batch = vector(2, observe=("pressure", "c_l", "amplitudes"))
+    assert batch.single_observation_space.shape == (151 + 1 + 2,)
+    observation, _ = batch.reset(seed=0)
+    pressure = batch._flows.batch.read("pressure")
+    np.testing.assert_allclose(observation[:, :151], pressure, atol=1e-6)
+    # before any action: the uncontrolled flow's mean, and jets at rest
+    np.testing.assert_array_equal(observation[:, 151], np.float32(base.free["c_l"]))
+    assert not observation[:, 152:].any()
+    observation, _, _, _, info = batch.step(np.array([[1.0], [-0.3]], np.float32))
+    np.testing.assert_array_equal(observation[:, 151], info["c_l"].astype(np.float32))
+    np.testing.assert_array_equal(observation[:, 152:], (info["amplitudes"] / 0.01).astype(np.float32))
+    assert observation[0, 152] > 0 > observation[0, 153]
+    turned = vector(2, observe=("amplitudes", "power"))
+    assert turned.single_observation_space.shape == (3,)
+    turned.reset(seed=0)
+    observation, _, _, _, info = turned.step(np.array([[1.0], [-0.3]], np.float32))
+    np.testing.assert_array_equal(observation[:, :2], (info["amplitudes"] / 0.01).astype(np.float32))
+    np.testing.assert_array_equal(observation[:, 2], info["power"].astype(np.float32))
+
+
+def asked(charge=twice_the_drag):
+    """Return a batch of three flows, the second of which cannot go on, and what its reward is asked."""
+    seen = []
+
+    def reward(now, free):
+        seen.append((dict(now), dict(free)))
+        return -now["c_d"]
+
+    batch = vector(3, AutoresetMode.DISABLED, reward=reward, charge=charge)
+    batch.reset(seed=0)
+    batch._flows.reset([1], spoilt(batch._flows.batch.state(0), np.nan))
+    seen.clear()
+    return batch, seen
+
+
+def test_a_reward_is_asked_once_for_each_flow_about_python_floats(base):
+    batch, seen = asked(charge=lambda reward, free, left: -100.0 * left)
+    _, rewards, terminated, _, info = batch.step(actions(1, 3)[0])
+    assert terminated.tolist() == [False, True, False]
+    assert len(seen) == 2  # never for the flow that blew up
+    for (now, free), b in zip(seen, (0, 2), strict=True):
+        assert set(now) == set(free) == set(READINGS)
+        assert {type(value) for value in (*now.values(), *free.values())} == {float}
+        assert now == {name: info[name][b] for name in READINGS}
+        assert free == base.free
+        assert rewards[b] == -now["c_d"]
+    assert rewards[1] == -300.0
+
+
+def test_a_reward_never_sees_what_a_flow_that_blew_up_reads():
+    batch, seen = asked()
+    batch.step(actions(1, 3)[0])
+    assert len(seen) == 3
+    assert all(math.isfinite(value) for now, _ in seen for value in now.values())
+    assert sum(now["c_d"] == 2 * free["c_d"] and now["c_l"] == 0.0 for now, free in seen) == 1

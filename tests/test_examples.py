@@ -18,18 +18,17 @@ from gymnasium.utils.env_checker import check_env
 
 from examples.own_solver import environment
 from examples.own_solver.environment import SolverLost, Wake
-from manywake.env.task import Task
-from manywake.flow import case
-from manywake.learn import runs, train
-from manywake.learn.collect import Layout
+from manywake.case.learning import Learning
+from manywake.learn import external, tables, train
+from manywake.learn.blocks import Layout
 from manywake.learn.engine import Processes, Threads
-from manywake.learn.settings import Collection, Learning, Settings
+from manywake.learn.settings import Collection, Settings
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "examples" / "own_solver"
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT / "src"), str(ROOT)])}
-SHORT = {"action_interval": 0.002, "actions_per_episode": 3}
-"""Four solver steps an action, three actions an episode."""
+SHORT = {"interval": 0.002, "actions": 3}
+"""Two solver steps an action, three actions an episode."""
 
 
 def alive(process: int) -> bool:
@@ -203,10 +202,9 @@ LEARNING = Learning(
 
 
 def trained(folder: Path, env: str, engine, layout: Layout):
-    task = Task(actions_per_episode=40)
-    settings = Settings(case.by_name("cylinder-jets"), task, LEARNING, Collection(), 0, env)
     try:
-        return train.train(folder, settings, engine, layout)
+        simulation = external.open_simulation(env, 40, os.getcwd())
+        return train.train(folder, simulation, Settings(LEARNING, Collection(), 0), engine, layout)
     finally:
         engine.close()
 
@@ -237,7 +235,7 @@ def test_a_training_calms_the_wake_and_solvers_killed_in_mid_episode_change_no_b
 ):
     monkeypatch.chdir(ROOT)
     calm = trained(tmp_path / "calm", "examples.own_solver.environment:make", Threads(1), Layout(10, 1, 10))
-    rewards = runs.read_episodes(tmp_path / "calm")["reward"].reshape(-1, 10).mean(axis=1)
+    rewards = tables.columns(tmp_path / "calm" / "episodes.csv")["reward"].reshape(-1, 10).mean(axis=1)
     assert rewards[0] < -3 and rewards[-1] > 1
     assert calm.failures == 0
 
@@ -247,7 +245,7 @@ def test_a_training_calms_the_wake_and_solvers_killed_in_mid_episode_change_no_b
     hit = trained(tmp_path / "hit", "fragile:Fragile", Processes(2), Layout(10, 2, 5))
     assert hit.failures >= 2
     assert {path.name for path in tmp_path.glob("done-*")} == {"done-130", "done-210"}
-    causes = runs.rows(tmp_path / "hit" / "failures.csv")
+    causes = tables.read(tmp_path / "hit" / "failures.csv")
     assert all("got its end (signal 9)" in row["cause"] for row in causes)
     assert hit.policy_sha256 == calm.policy_sha256
     solvers = [int(path.name.removeprefix("pid-")) for path in tmp_path.glob("pid-*")]
@@ -292,7 +290,7 @@ def test_the_command_of_the_readme_trains_and_leaves_no_solver_when_it_is_killed
                 break
         trainer.kill()
     assert len(solvers) == 2, (tmp_path / "log").read_text()
-    assert runs.rows(tmp_path / "run" / "episodes.csv")
+    assert tables.read(tmp_path / "run" / "episodes.csv")
     assert all(gone(solver) for solver in solvers)
 
 
@@ -303,13 +301,13 @@ def test_sb3_gets_of_the_batch_what_it_gets_of_single_environments():
     from stable_baselines3.common.vec_env import DummyVecEnv
 
     from examples.train_sb3 import Batch
-    from manywake import CylinderJetsEnv, CylinderJetsVectorEnv
+    from manywake import FlowEnv, FlowVectorEnv
 
-    ours = Batch(CylinderJetsVectorEnv(2, autoreset_mode="SameStep", **SHORT))
-    twin = DummyVecEnv([lambda: CylinderJetsEnv(**SHORT)] * 2)
+    ours = Batch(FlowVectorEnv(2, autoreset_mode="SameStep", **SHORT))
+    twin = DummyVecEnv([lambda: FlowEnv(**SHORT)] * 2)
     np.testing.assert_array_equal(ours.reset(), twin.reset())
     for flows in (ours.flows._flows, twin.envs[0]._batch._flows):  # one flow blows up, the other goes on
-        start = flows.flow.state(0)
+        start = flows.batch.state(0)
         flows.reset([0], dataclasses.replace(start, u=np.full_like(start.u, np.nan)))
     rng, ends = np.random.default_rng(0), []
     for _ in range(8):
@@ -331,10 +329,10 @@ def test_sb3_gets_of_the_batch_what_it_gets_of_single_environments():
 
 def test_the_batch_wants_autoreset_in_the_same_step():
     from examples.train_sb3 import Batch
-    from manywake import CylinderJetsVectorEnv
+    from manywake import FlowVectorEnv
 
     with pytest.raises(ValueError, match="autoreset .*wanted SAME_STEP"):
-        Batch(CylinderJetsVectorEnv(2, **SHORT))
+        Batch(FlowVectorEnv(2, **SHORT))
 
 
 @pytest.mark.parametrize(
@@ -343,7 +341,7 @@ def test_the_batch_wants_autoreset_in_the_same_step():
 def test_stable_baselines3_takes_steps_with_finite_losses(algorithm, losses, one_thread):
     from examples import train_sb3
 
-    model = train_sb3.train(algorithm, actions=24, flows=2, **SHORT)
+    model = train_sb3.train(algorithm, total=24, flows=2, **SHORT)
     assert model.num_timesteps == 24
     assert all(np.isfinite(model.logger.name_to_value[f"train/{name}"]) for name in losses)
     assert all(episode["l"] == 3 for episode in model.ep_info_buffer) and len(model.ep_info_buffer) == 8
@@ -352,7 +350,7 @@ def test_stable_baselines3_takes_steps_with_finite_losses(algorithm, losses, one
 def test_skrl_takes_steps_with_finite_losses(one_thread, capsys):
     from examples import train_skrl
 
-    agent = train_skrl.train(actions=32, flows=2, **SHORT)
+    agent = train_skrl.train(total=32, flows=2, **SHORT)
     for name in ("policy", "value"):
         losses = agent.tracking_data[f"Loss / {name.title()} loss"]
         assert len(losses) == 2 and np.isfinite(losses).all()

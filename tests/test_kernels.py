@@ -6,10 +6,11 @@ import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manywake.flow import factors, kernels, simd, stepper
+from manywake.flow import factors, kernels, stepper
 from manywake.flow.factors import Panels, Rows
 from manywake.flow.kernels import CORNER, NODE, WEIGHT
 from manywake.flow.stepper import State
+from manywake.machine import simd
 
 from . import naive
 from .conftest import TINY, in_doubles, tiny_mesh
@@ -265,7 +266,7 @@ def tiny_in_doubles():
 
 
 def test_panels_of_the_flow_multiply_to_its_matrices(tiny, tiny_in_doubles):
-    case, space = tiny.case, tiny.space
+    case, space = TINY, tiny.space
     A = case.scheme.new / case.time_step * space.mass + case.scheme.implicit * case.viscosity * space.stiffness
     for ops in (tiny, tiny_in_doubles):
         free, inner = ops.velocity_order[: ops.free], ops.pressure_order[: len(ops.tables.poisson.inverse_diagonal)]

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manywake.flow import simd
-from manywake.flow.kernels import kernel
-from manywake.flow.simd import add, double, fma, high, join, load, low, mul, rounded, splat, store, sub
+from manywake.machine import simd
+from manywake.machine.compile import kernel
+from manywake.machine.simd import add, double, fma, high, join, load, low, mul, rounded, splat, store, sub
 
 widths = pytest.mark.parametrize("width", simd.WIDTHS)
 precisions = pytest.mark.parametrize("number", [np.float64, np.float32])
@@ -155,8 +155,8 @@ def test_lane_arrays_are_zero_aligned_and_seen_as_numbers(width, number):
 CALL = """
 import sys
 import numpy as np
-from manywake.flow import simd
 from manywake.flow.kernels import product
+from manywake.machine import simd
 
 for name in sys.argv[1:]:
     number, width = getattr(np, name.split(":")[0]), int(name.split(":")[1])

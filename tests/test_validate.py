@@ -1,13 +1,19 @@
 """The physics gate: every reference of `manywake validate` is met, and a wrong number would not be."""
 
+from pathlib import Path
+
 import pytest
 
+from manywake.case import task
 from manywake.flow import validate
 from manywake.flow.validate import Check
+from manywake.suite import cylinder_jets
 
 
-def test_the_solver_meets_every_reference():
-    checks = validate.run()
+def test_the_solver_meets_every_reference(shipped):
+    mixing = task.matrix(cylinder_jets.TASK, 2)[:, 0]
+    kept = Path(cylinder_jets.__file__).with_suffix(".json")
+    checks = validate.run(shipped, cylinder_jets.REFERENCES, mixing, kept)
     assert len(checks) == 25
     failed = {check.name: (check.ours, check.reference) for check in checks if not check.passed}
     assert not failed

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from manywake.env.task import ControlledFlow, Task
-from manywake.flow import baseline
-from manywake.flow.case import CASES
+from manywake.env.control import ControlledFlows
+from manywake.flow import store
+from manywake.suite.cylinder_jets import CASE, TASK
 
 EPISODES = 56
 """Whole blocks of eight, and at least the fifty that were asked for."""
@@ -12,13 +12,12 @@ EPISODES = 56
 
 def play(action):
     """Play whole episodes with action(rng, flows) at every step; return how many flows blew up and the largest C_D."""
-    ops, base = baseline.assembled(CASES["cylinder-jets"])
-    flows, rng = ControlledFlow(ops, base, Task(), EPISODES), np.random.default_rng(0)
+    flows, rng = ControlledFlows(store.flow(CASE), TASK, EPISODES), np.random.default_rng(0)
     diverged, largest = np.zeros(EPISODES, bool), 0.0
-    for _ in range(Task().actions_per_episode):
-        outcome = flows.act(action(rng, EPISODES))
+    for _ in range(TASK.actions):
+        outcome = flows.act(action(rng, EPISODES)[:, None])
         diverged |= outcome.diverged
-        largest = max(largest, float(np.nanmax(outcome.c_d)))
+        largest = max(largest, float(np.nanmax(outcome.means["c_d"])))
     return int(diverged.sum()), largest
 
 
