@@ -10,20 +10,20 @@ Expected: at 10 % C_D falls as in `synced`; at 0.45 % it stays near the uncontro
 alone has it, which is 3.15 when it is held for a whole period.
 """
 
-import learning_curves
-import trainings
-from experiment import Setup
-from trainings import CASE, Training
+from experiments import learning_curves, trainings
+from experiments.experiment import Setup
+from experiments.trainings import CASE, Training
 
 EPISODES = 240
 ACTIONS = {3: 1322, 66: 60, 661: 6}
 """Steps of an action -> actions of an episode: 3966, 3960 and 3966 steps."""
 SHARES = {3: "0.45 %", 66: "10 %", 661: "100 %"}
+BY_PROTOCOL = True
 
 
 def wanted(setup: Setup) -> dict[str, list[Training]]:
     changes = {
-        f"{steps} steps": {"action_interval": round(steps * CASE.time_step, 10), "actions_per_episode": actions}
+        f"{steps} steps": {"interval": round(steps * CASE.dt, 10), "actions": actions}
         for steps, actions in ACTIONS.items()
     }
     return trainings.seeded(setup, "action-period", EPISODES, changes)

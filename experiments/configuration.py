@@ -7,18 +7,20 @@ Command: manywake figure configuration
 Cost: seconds.
 """
 
-import learning_curves
 import matplotlib.pyplot as plt
 import numpy as np
-import vertex_maps
-from experiment import Setup, read, write
-from trainings import CASE
 
-from manywake.flow import baseline
+from experiments import learning_curves, vertex_maps
+from experiments.experiment import Setup, read, write
+from experiments.trainings import CASE
+from manywake.flow import store
+
+(CYLINDER,) = CASE.bodies
+PROBES = CASE.sensors[0].points
 
 
 def run(setup: Setup) -> None:
-    base = baseline.get(CASE, setup.progress)
+    base = store.get(CASE, setup.progress)
     write(setup.csv("configuration"), vertex_maps.rows(base.mesh, pressure=base.start.p))
 
 
@@ -26,11 +28,10 @@ def plot(setup: Setup) -> None:
     figure, axis = plt.subplots(figsize=(11, 2.9), layout="constrained")
     table = read(setup.csv("configuration"))
     picture = vertex_maps.draw(axis, CASE, table, "pressure", cmap="viridis")
-    axis.plot(*np.transpose(CASE.probes), "k.", ms=3, label=f"{len(CASE.probes)} probes")
-    for jet in CASE.jets:
-        angles = np.radians(np.linspace(jet.angle - jet.width / 2, jet.angle + jet.width / 2, 9))
-        axis.plot(CASE.radius * np.cos(angles), CASE.radius * np.sin(angles), color="red", lw=4)
-    axis.plot([], [], color="red", lw=4, label=f"{len(CASE.jets)} jets")
+    axis.plot(*np.transpose(PROBES), "k.", ms=3, label=f"{len(PROBES)} probes")
+    for start, end in CYLINDER.parts.values():
+        axis.plot(*CYLINDER.point(np.linspace(start, end, 9)).T, color="red", lw=4)
+    axis.plot([], [], color="red", lw=4, label=f"{len(CYLINDER.parts)} jets")
     axis.set_xlabel("x [10 D]")
     axis.legend(loc="upper right", fontsize=9, frameon=True)
     figure.colorbar(picture, ax=axis, label=r"pressure [$\rho \bar U^2$]", pad=0.015, shrink=0.85)
@@ -40,8 +41,8 @@ def plot(setup: Setup) -> None:
 def summary(setup: Setup) -> dict:
     pressure = read(setup.csv("configuration"))["pressure"]
     return {
-        "probes": len(CASE.probes),
-        "jets_degrees": [(jet.angle, jet.width) for jet in CASE.jets],
+        "probes": len(PROBES),
+        "jets_degrees": [((start + end) / 2, float(end - start)) for start, end in CYLINDER.parts.values()],
         "pressure_min": float(pressure.min()),
         "pressure_max": float(pressure.max()),
     }

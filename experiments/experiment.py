@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from manywake.flow import disk
+from manywake.machine import disk
 
 Table = dict[str, np.ndarray]
 """Columns by name: numbers, or text where there is any."""

@@ -5,13 +5,12 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-import policies_in_lanes
-import trainings
-from experiment import Setup, Table, names, read, rounded, spread, where, write
 
+from experiments import policies_in_lanes, trainings
+from experiments.experiment import Setup, Table, names, read, rounded, spread, where, write
 from manywake import plots
-from manywake.flow import baseline
-from manywake.learn import runs
+from manywake.flow import store
+from manywake.learn import tables
 from manywake.learn.runs import Run
 
 WINDOW = 10
@@ -37,7 +36,7 @@ def write_tables(setup: Setup, name: str, sets: dict[str, list[Run]]) -> None:
 def _episodes(series: str, run: Run, updates: int) -> list[dict[str, Any]]:
     """Return rows in the order episodes came. reward: mean of an action. clock_s: the run's own clock."""
     unsynced = run.settings.collection.schedule == "unsynced"
-    table = [row for row in runs.rows(run.folder / "episodes.csv") if int(row["update"]) < updates]
+    table = [row for row in tables.read(run.folder / "episodes.csv") if int(row["update"]) < updates]
     table.sort(key=lambda row: (float(row["clock_s"]) if unsynced else 0.0, int(row["episode"])))
     return [
         rounded(
@@ -50,7 +49,7 @@ def _episodes(series: str, run: Run, updates: int) -> list[dict[str, Any]]:
                 "c_d": float(row["c_d_second_half"]),
                 "c_l": float(row["c_l_second_half"]),
                 "reward": float(row["reward"]) / int(row["length"]),
-                "jet_rms": float(row["jet_rms"]),
+                "jet_rms": float(row["amplitude_rms"]),
                 "clock_s": float(row["clock_s"]),
             }
         )
@@ -59,7 +58,7 @@ def _episodes(series: str, run: Run, updates: int) -> list[dict[str, Any]]:
 
 
 def _updates(series: str, run: Run, updates: int) -> list[dict[str, Any]]:
-    table = runs.rows(run.folder / "updates.csv")[:updates]
+    table = tables.read(run.folder / "updates.csv")[:updates]
     columns = [name for name in table[0] if name not in ("update", "episodes", "learning_rate")]
     return [
         {"series": series, "seed": run.settings.seed, "update": int(row["update"])}
@@ -69,17 +68,17 @@ def _updates(series: str, run: Run, updates: int) -> list[dict[str, Any]]:
 
 
 def _final(series: str, group: list[Run], updates: int) -> list[dict[str, Any]]:
-    played = trainings.simulation(group[0])
-    result = policies_in_lanes.play(played, [run.version(updates) for run in group], played.horizon)
-    half = len(result.c_d) // 2
+    played = trainings.opened(group[0])
+    result = policies_in_lanes.play(played.flow, played.task, [run.version(updates) for run in group], played.horizon)
+    half, limit = len(result["c_d"]) // 2, played.flow.case.actuators[0].limit
     return [
         rounded(
             {
                 "series": series,
                 "seed": run.settings.seed,
-                "c_d": result.c_d[half:, k].mean(),
-                "c_l": result.c_l[half:, k].mean(),
-                "jet_rms": np.sqrt(np.mean(result.jets[half:, k] ** 2)) / played.task.max_flow_rate,
+                "c_d": result["c_d"][half:, k].mean(),
+                "c_l": result["c_l"][half:, k].mean(),
+                "jet_rms": np.sqrt(np.mean(result["jet"][half:, k] ** 2)) / limit,
             },
             5,
         )
@@ -108,8 +107,8 @@ def draw(axis, table: Table, x: str, y: str, colour: str, label: str) -> None:
 
 def references(axis, label: bool = True) -> None:
     """Draw the uncontrolled flow's C_D and that of the steady base flow."""
-    base = baseline.get(trainings.CASE)
-    for value, style, name in ((base.shedding.cd_mean, ":", "uncontrolled"), (base.cd_steady, "--", "steady flow")):
+    base = store.get(trainings.CASE)
+    for value, style, name in ((base.free["c_d"], ":", "uncontrolled"), (base.steady["c_d"], "--", "steady flow")):
         axis.axhline(value, color=plots.REFERENCE, lw=1, ls=style, label=name if label else None)
 
 
@@ -157,7 +156,7 @@ def levels(table: Table, column: str = "c_d") -> dict[str, list[float]]:
 def summary(setup: Setup, name: str) -> dict[str, Any]:
     """Return, by series, first and final level while exploring, and the last policies' own, as mean and deviation."""
     table, final = read(setup.csv(name)), read(setup.csv(f"{name}-final"))
-    uncontrolled = baseline.get(trainings.CASE).shedding.cd_mean
+    uncontrolled = store.get(trainings.CASE).free["c_d"]
     found: dict[str, Any] = {}
     for series in names(table):
         mine, last = where(table, series=series), where(final, series=series)

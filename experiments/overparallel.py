@@ -20,19 +20,18 @@ action; that differs from the current one by the update of the observations' nor
 from dataclasses import replace
 from typing import Any
 
-import learning_curves
 import matplotlib.pyplot as plt
 import numpy as np
 import scipy.stats
-import synced
-import trainings
-from experiment import Setup, Table, names, read, spread, where, write
-from learning_curves import COLOURS
-from trainings import Training
 
+from experiments import learning_curves, synced, trainings
+from experiments.experiment import Setup, Table, names, read, spread, where, write
+from experiments.learning_curves import COLOURS
+from experiments.trainings import Training
 from manywake.learn import schedule
-from manywake.learn.settings import PAPER_LEARNING, Collection
+from manywake.learn.settings import Collection
 
+BY_PROTOCOL = True
 EPISODES = 300
 MODEL = Collection(schedule="unsynced", clock="virtual")
 """The virtual clock: 0.3 s an update, 5 s an episode, spread 0.5 %."""
@@ -74,7 +73,7 @@ def _on_the_virtual_clock(setup: Setup, table: Table) -> list[dict[str, Any]]:
 
 def _plan(setup: Setup, seed: int, n: int, unsynced: bool, episodes: int, update: float = MODEL.update_seconds):
     """Return the schedule on the virtual clock, in its seconds."""
-    period = 4 if setup.miniature else PAPER_LEARNING.update_period
+    period = trainings.period(setup)
     seconds = schedule.durations(seed, episodes, MODEL.episode_seconds, MODEL.episode_spread)
     return (schedule.unsynced if unsynced else schedule.synced)(
         seconds, min(n, period) if not unsynced else n, period, update

@@ -4,24 +4,32 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from manywake.env.task import ControlledFlow
-from manywake.learn import evaluate
+from manywake.case.task import Task
+from manywake.env.control import ControlledFlows, drive
+from manywake.flow.store import Flow
 from manywake.learn import policy as policies
-from manywake.learn.evaluate import Trajectory
 from manywake.learn.policy import Policy
-from manywake.learn.rollout import JetFlows
 
-Look = Callable[[ControlledFlow], None]
+Look = Callable[[ControlledFlows], None]
 
 
 def play(
-    simulation: JetFlows, driving: Sequence[Policy | None], actions: int, look: Look = lambda flows: None
-) -> Trajectory:
-    """Play a number of actions from the start state; None is no control. look: called after every action."""
-    flows = ControlledFlow(simulation.operators, simulation.baseline, simulation.task, len(driving))
+    flow: Flow, task: Task, driving: Sequence[Policy | None], actions: int, look: Look = lambda flows: None
+) -> dict[str, np.ndarray]:
+    """Play a number of actions from the start state; None is no control. look: called after every action.
 
-    def act(seen: np.ndarray) -> np.ndarray:
+    Returns c_d, c_l and jet, the first one's flow rate, of every solver step (steps, B).
+    """
+    flows = ControlledFlows(flow, task, len(driving))
+    still = np.zeros(flows.mixing.shape[1])
+
+    def choose(t: int, seen: np.ndarray) -> np.ndarray:
         each = enumerate(driving)
-        return np.array([0.0 if p is None else policies.act(p, seen[k : k + 1])[0, 0] for k, p in each])
+        return np.stack([still if p is None else policies.act(p, seen[k : k + 1])[0] for k, p in each])
 
-    return evaluate.drive(flows, act, actions, look)
+    outcomes = []
+    for step in drive(flows, choose, actions):
+        outcomes.append(step.outcome)
+        look(flows)
+    series = {name: np.concatenate([outcome.series[name] for outcome in outcomes]) for name in ("c_d", "c_l")}
+    return series | {"jet": np.concatenate([outcome.amplitudes[:, 0] for outcome in outcomes])}

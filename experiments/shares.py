@@ -17,19 +17,21 @@ import statistics
 import time
 from typing import Any
 
-import learning_curves
 import matplotlib.pyplot as plt
 import numba
 import numpy as np
 import scipy.sparse as sp
-import synced
-from experiment import Setup, Table, read, rounded, where, write
-from learning_curves import COLOURS
-from trainings import CASE
 
-from manywake.flow import baseline
+from experiments import learning_curves, synced
+from experiments.experiment import Setup, Table, read, rounded, where, write
+from experiments.learning_curves import COLOURS
+from experiments.trainings import CASE
 from manywake.flow import space as spaces
-from manywake.learn import runs
+from manywake.flow import store
+from manywake.learn import tables
+from manywake.learn.runs import Run
+
+BY_PROTOCOL = True
 
 PAPER = {"environment": 0.997, "learner": 0.003}
 RELEASED_EPISODE = 204.0
@@ -43,11 +45,11 @@ def run(setup: Setup) -> None:
     write(setup.csv("shares-threads"), _threads(repeats=3 if setup.miniature else 400))
 
 
-def _shares(name: str, run: runs.Run) -> list[dict[str, Any]]:
+def _shares(name: str, run: Run) -> list[dict[str, Any]]:
     """Return seconds per episode of each part, of the updates after the first, which also loads compiled code."""
     period = run.settings.learning.update_period
-    updates = runs.rows(run.folder / "updates.csv")[1:]
-    rows = runs.rows(run.folder / "episodes.csv")[period : (len(updates) + 1) * period]
+    updates = tables.read(run.folder / "updates.csv")[1:]
+    rows = tables.read(run.folder / "episodes.csv")[period : (len(updates) + 1) * period]
     layout = run.layout
     cores = min(layout.workers, os.cpu_count() or 1)
 
@@ -133,7 +135,7 @@ def _threads(repeats: int) -> list[dict[str, Any]]:
 
 def _parts() -> dict[str, Any]:
     """Return the parts of a step of one flow as functions without arguments."""
-    base = baseline.get(CASE)
+    base = store.get(CASE)
     space = spaces.build(base.mesh)
     rng = np.random.default_rng(0)
     n, m = space.mass.shape[0], space.pressure_stiffness.shape[0]

@@ -10,20 +10,19 @@ Cost: 9 trainings beside those of `synced`, 17 min.
 Expected: all four within the seeds' spread; after an action alpha = 0.05 is at 92 %, 0.1 at 99.5 % of it.
 """
 
-import learning_curves
-import synced
-import trainings
-from experiment import Setup
-from trainings import Training
+from experiments import learning_curves, synced, trainings
+from experiments.experiment import Setup
+from experiments.trainings import Training
 
 EPISODES = 300
 ALPHAS = (0.05, 0.1, 0.2)
+BY_PROTOCOL = True
 
 
 def wanted(setup: Setup) -> dict[str, list[Training]]:
     """Return the trainings; those by the protocol's own law are synced's."""
-    laws = {f"alpha {alpha:g}": {"control": "exponential", "alpha": alpha} for alpha in ALPHAS}
-    laws["linear"] = {"control": "linear"}
+    laws = {f"alpha {alpha:g}": {"law": "exponential", "law.alpha": alpha} for alpha in ALPHAS}
+    laws["linear"] = {"law": "linear"}
     shared = "linear" if setup.protocol == "code" else "alpha 0.1"
     return trainings.seeded(setup, "smoothing", EPISODES, laws) | {shared: synced.group(setup)["20"]}
 

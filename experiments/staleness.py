@@ -12,13 +12,12 @@ Expected: episodes 3, 4 and 5 updates old when they are used, not 0, 1 and 2; sl
 
 from dataclasses import replace
 
-import learning_curves
-import overparallel
-import trainings
-from experiment import Setup, names, read, where
-from trainings import Training
+from experiments import learning_curves, overparallel, trainings
+from experiments.experiment import Setup, names, read, where
+from experiments.trainings import Training
 
 KEPT = "policy kept"
+BY_PROTOCOL = True
 
 
 def wanted(setup: Setup) -> dict[str, list[Training]]:

@@ -15,19 +15,20 @@ whose episodes are so short that the learner counts: Amdahl's law, `shares`.
 from dataclasses import fields
 from typing import Any
 
-import learning_curves
 import matplotlib.pyplot as plt
 import numpy as np
-import trainings
-from experiment import Setup, Table, names, read, rounded, where, write
-from learning_curves import COLOURS
-from trainings import Training
 
-from manywake.flow import disk
-from manywake.learn import runs, schedule
+from experiments import learning_curves, trainings
+from experiments.experiment import Setup, Table, names, read, rounded, where, write
+from experiments.learning_curves import COLOURS
+from experiments.trainings import Training
+from manywake.learn import schedule, tables
 from manywake.learn.runs import Run
-from manywake.learn.settings import PAPER_LEARNING, Collection
+from manywake.learn.settings import Collection
+from manywake.machine import disk
+from manywake.suite.cylinder_jets import RELEASED
 
+BY_PROTOCOL = True
 EPISODES = 300
 TIMED_UPDATES = 3
 """Updates that are trained with nothing beside them, for their times."""
@@ -43,18 +44,18 @@ def group(setup: Setup) -> dict[str, list[Training]]:
 
 def wanted(setup: Setup) -> dict[str, list[Training]]:
     """Return the trainings: those, and seed 0 anew with each of the other N, which takes longest."""
-    anew = [
-        Training("synced", str(n), trainings.settings(setup, 0, EPISODES, collection=Collection(envs=n)))
-        for n in others(setup)
-    ]
+    ways = {n: Collection(envs=n) for n in others(setup)}
+    anew = [trainings.training(setup, "synced", str(n), 0, EPISODES, collection=how) for n, how in ways.items()]
     return {"anew": anew} | group(setup)
 
 
 def timed(setup: Setup, environments: int) -> Run:
     """Return the first updates of seed 0, alone on the machine; 1 and 2 environments have a core and one lane each."""
     how = Collection() if environments == most(setup) else Collection(envs=environments, lanes=1)
-    chosen = trainings.settings(setup, 0, TIMED_UPDATES * PAPER_LEARNING.update_period, collection=how)
-    return trainings.timed(setup, Training("synced", f"timed {environments}", chosen))
+    episodes = TIMED_UPDATES * RELEASED.update_period
+    return trainings.timed(
+        setup, trainings.training(setup, "synced", f"timed {environments}", 0, episodes, collection=how)
+    )
 
 
 def measure(setup: Setup) -> list[Run]:
@@ -100,7 +101,7 @@ def _compared(whole: Run, part: Run) -> dict[str, Any]:
 
 
 def _untimed(run: Run, updates: int) -> list[tuple[str, ...]]:
-    return runs.untimed([row for row in runs.rows(run.folder / "episodes.csv") if int(row["update"]) < updates])
+    return tables.untimed([row for row in tables.read(run.folder / "episodes.csv") if int(row["update"]) < updates])
 
 
 def policy_digest(run: Run, version: int) -> str:
@@ -118,8 +119,8 @@ def _times(run: Run) -> dict[str, Any]:
     its share of a block. schedule_s: only without lanes, where an environment's episodes are its own.
     """
     layout, period = run.layout, run.settings.learning.update_period
-    first, *updates = runs.rows(run.folder / "updates.csv")
-    rows = runs.rows(run.folder / "episodes.csv")[period : (len(updates) + 1) * period]
+    first, *updates = tables.read(run.folder / "updates.csv")
+    rows = tables.read(run.folder / "episodes.csv")[period : (len(updates) + 1) * period]
     seconds = np.array([float(row["flow_s"]) + float(row["policy_s"]) for row in rows])
     learner = np.mean([float(row["learner_s"]) for row in updates])
     plan = schedule.synced(seconds, layout.environments, period, float(learner))
@@ -147,7 +148,7 @@ def times(setup: Setup) -> dict[str, float]:
 
 def derived(setup: Setup, environments: int, seed: int, episodes: int, learner: float | None = None) -> schedule.Plan:
     """Return when episodes would come with a core for each environment; learner: share of a serial training's time."""
-    one, period = times(setup), 4 if setup.miniature else PAPER_LEARNING.update_period
+    one, period = times(setup), trainings.period(setup)
     update = one["update_s"] if learner is None else learner / (1 - learner) * period * one["episode_s"]
     seconds = schedule.durations(seed, episodes, one["episode_s"], one["spread"])
     return schedule.synced(seconds, environments, period, update)

@@ -8,31 +8,32 @@ Cost: seconds; no flow is needed, as the law knows only actions.
 Expected: within 5 % of the change after 29 steps, 0.5 % left after 50 (0.9^50).
 """
 
-import learning_curves
 import matplotlib.pyplot as plt
 import numpy as np
-from experiment import Setup, read, rounded, write
-from learning_curves import COLOURS
-from trainings import CASE
 
-from manywake.env.task import CONTROL_LAWS, PAPER
-from manywake.learn.rollout import explore
-from manywake.learn.settings import PAPER_LEARNING
+from experiments import learning_curves
+from experiments.experiment import Setup, read, rounded, write
+from experiments.learning_curves import COLOURS
+from experiments.trainings import CASE
+from manywake.learn.rollout import context
+from manywake.suite.cylinder_jets import PROTOCOLS, RELEASED
 
 ACTIONS = 5
-LAWS = ("exponential", "linear")
+TASK = PROTOCOLS["paper"][0]
+STEPS = TASK.steps(CASE.dt)
+LAWS = {"exponential": TASK.law, "linear": PROTOCOLS["code"][0].law}
 
 
 def run(setup: Setup) -> None:
-    noise = explore(0, 0, ACTIONS, 1).noise[:, 0]
-    actions = PAPER.max_flow_rate * np.clip(np.exp(PAPER_LEARNING.log_std_init) * noise, -1, 1)
-    control = {law: np.zeros(1) for law in LAWS}
-    previous, rows = np.zeros(1), []
-    for action in actions:
-        follow = {law: CONTROL_LAWS[law](PAPER, CASE.time_step, control[law], previous, action[None]) for law in LAWS}
-        for s in range(PAPER.steps(CASE.time_step)):
-            rows.append({"step": len(rows) + 1, "action": action} | {law: follow[law][s, 0] for law in LAWS})
-        control, previous = {law: follow[law][-1] for law in LAWS}, action[None]
+    noise = context(0, 0, ACTIONS, 1).noise[:, 0]
+    actions = CASE.actuators[0].limit * np.clip(np.exp(RELEASED.log_std_init) * noise, -1, 1)
+    control = {name: np.zeros((1, 1)) for name in LAWS}
+    previous, rows = np.zeros((1, 1)), []
+    for action in actions.reshape(-1, 1, 1):
+        follow = {name: law.series(STEPS, CASE.dt, control[name], previous, action) for name, law in LAWS.items()}
+        for s in range(STEPS):
+            rows.append({"step": len(rows) + 1, "action": action.item()} | {n: x[s].item() for n, x in follow.items()})
+        control, previous = {name: series[-1] for name, series in follow.items()}, action
     write(setup.csv("timescales"), [rounded(row, 8) for row in rows])
 
 
@@ -50,10 +51,10 @@ def plot(setup: Setup) -> None:
 
 
 def summary(setup: Setup) -> dict:
-    table, steps = read(setup.csv("timescales")), PAPER.steps(CASE.time_step)
-    change = abs(table["exponential"] - table["action"])[:steps] / abs(table["action"][0])
+    table = read(setup.csv("timescales"))
+    change = abs(table["exponential"] - table["action"])[:STEPS] / abs(table["action"][0])
     return {
         "steps_to_5_per_cent": int(np.argmax(change <= 0.05)) + 1,
         "left_after_the_action": float(change[-1]),
-        "action_over_shedding_period": PAPER.action_interval / 0.3307,
+        "action_over_shedding_period": TASK.interval / 0.3307,
     }

@@ -2,10 +2,10 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
-from experiment import Table
 from matplotlib.tri import Triangulation
 
-from manywake.flow.case import Case
+from experiments.experiment import Table
+from manywake.case.case import Case
 from manywake.flow.mesh import Mesh
 
 
@@ -20,14 +20,15 @@ def rows(mesh: Mesh, **fields: np.ndarray) -> list[dict[str, float]]:
 
 def draw(axis, case: Case, table: Table, field: str, **style):
     """Draw a field between the vertices; the triangles are made anew from them."""
+    (cylinder,), box = case.bodies, case.domain
     mesh = Triangulation(table["x"], table["y"])
     x, y = (table[name][mesh.triangles].mean(axis=1) for name in ("x", "y"))
-    mesh.set_mask(np.hypot(x, y) < case.radius)
+    mesh.set_mask(np.hypot(x, y) < cylinder.radius)
     picture = axis.tripcolor(mesh, table[field], shading="gouraud", rasterized=True, **style)
-    axis.add_patch(plt.Circle((0, 0), case.radius, color="#dddddd", lw=0))
+    axis.add_patch(plt.Circle(cylinder.centre, cylinder.radius, color="#dddddd", lw=0))
     axis.set_aspect("equal")
-    axis.set_xlim(*case.x_range)
-    axis.set_xticks(np.arange(0.0, case.x_range[1], 0.25))
-    axis.set_ylim(*case.y_range)
+    axis.set_xlim(*box.x)
+    axis.set_xticks(np.arange(0.0, box.x[1], 0.25))
+    axis.set_ylim(*box.y)
     axis.set_ylabel("y [10 D]")
     return picture

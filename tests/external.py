@@ -1,8 +1,38 @@
-"""Environments that are not ours: a point to be pushed back to zero, and one that fails."""
+"""What is not ours: environments, a point to be pushed back to zero and one that fails, and a user's case file."""
+
+from pathlib import Path
 
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
+
+CASE = """
+from pathlib import Path
+
+from manywake.suite.cylinder_jets import *
+
+Path(__file__).with_name("marker").touch()  # tells that this file was run
+WEIGHT = 0.25
+CASE = replace(CASE, sensors=(Pressure("pressure", ((0.1, 0.0), (0.2, 0.05))),))
+
+
+def saved(now, free):
+    return free["c_d"] - now["c_d"]
+
+
+def own(now, free):
+    return WEIGHT * saved(now, free)
+
+
+TASK = replace(TASK, actions=2, reward=own)
+"""
+
+
+def case_file(folder: Path) -> Path:
+    """Write a user's case file: the default case with two probes and a reward of its own."""
+    path = folder / "mine.py"
+    path.write_text(CASE)
+    return path
 
 
 class Point(gymnasium.Env):

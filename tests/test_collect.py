@@ -7,12 +7,13 @@ import time
 import numpy as np
 import pytest
 
+from manywake.case.learning import Learning
 from manywake.learn import ppo, schedule
-from manywake.learn.collect import MOST_FAILURES, EpisodeFailed, Layout, layout
+from manywake.learn.blocks import Layout, layout
+from manywake.learn.collect import MOST_FAILURES, EpisodeFailed
 from manywake.learn.engine import Processes, Threads
 from manywake.learn.policy import act, sample
-from manywake.learn.rollout import explore
-from manywake.learn.settings import Learning
+from manywake.learn.rollout import context
 
 from .toy import Toy, collector, synced
 
@@ -48,7 +49,7 @@ def processes():
 def test_synced_training_is_the_same_for_any_number_of_environments_and_layout(serial, processes, shape):
     grid = Layout(*shape)
     engine = processes if grid.workers > 1 else Threads(1)
-    assert digest(engine=engine, layout=grid, plan=synced(40, grid.environments, 10)) == serial
+    assert digest(engine=engine, grid=grid, plan=synced(40, grid.environments, 10)) == serial
 
 
 @pytest.mark.parametrize("asks", [1, HORIZON])
@@ -56,13 +57,13 @@ def test_synced_training_is_the_same_for_any_number_of_environments_and_layout(s
 def test_unsynced_training_on_the_virtual_clock_is_the_same_for_any_layout(processes, shape, asks):
     plan = schedule.unsynced(SECONDS, 25, 10, 2.0, asks)
     assert (plan.update > plan.version[:, 0]).any()
-    reference = digest(layout=Layout(25, 1, 25), plan=plan)
-    assert digest(engine=processes, layout=Layout(*shape), plan=plan) == reference
+    reference = digest(grid=Layout(25, 1, 25), plan=plan)
+    assert digest(engine=processes, grid=Layout(*shape), plan=plan) == reference
 
 
 def test_unsynced_on_the_real_clock_uses_every_episode_once_with_the_version_it_began_with(processes):
     toy = Toy(horizon=HORIZON, seconds=0.02)
-    taken = collector(toy, learning=LEARNING, engine=processes, layout=Layout(12, 3, 4), plan=None)
+    taken = collector(toy, learning=LEARNING, engine=processes, grid=Layout(12, 3, 4), plan=None)
     model = ppo.build(LEARNING, taken)
     batches = []
     model.hooks.collected = lambda model, episodes: batches.append((model.version, episodes))
@@ -82,7 +83,7 @@ def test_a_fault_costs_time_and_no_bit(tmp_path, serial, fault):
     toy = Toy(horizon=HORIZON, faults=tuple((index, fault) for index in faulty), folder=tmp_path)
     limit = 5.0 if fault == "hang" else None
     try:
-        found = digest(toy, engine=engine, layout=Layout(10, 2, 4), time_limit=limit, failed=lost.append)
+        found = digest(toy, engine=engine, grid=Layout(10, 2, 4), time_limit=limit, failed=lost.append)
     finally:
         engine.close()
     assert found == serial
@@ -93,20 +94,20 @@ def test_a_fault_costs_time_and_no_bit(tmp_path, serial, fault):
 def test_a_block_of_several_policies_that_is_lost_is_played_again_by_the_same(tmp_path, processes):
     plan = schedule.unsynced(SECONDS, 25, 10, 2.0, HORIZON)
     shape = Layout(25, 2, 8)
-    reference = digest(layout=shape, plan=plan)
+    reference = digest(grid=shape, plan=plan)
     (index,) = np.flatnonzero(np.ptp(plan.version, axis=1) > 0)[:1].tolist()
     lost = []
     toy = Toy(horizon=HORIZON, faults=((index, "kill"),), folder=tmp_path)
-    assert digest(toy, engine=processes, layout=shape, plan=plan, failed=lost.append) == reference
+    assert digest(toy, engine=processes, grid=shape, plan=plan, failed=lost.append) == reference
     assert [index in failure.episodes for failure in lost] == [True]
     assert lost[0].version == min(plan.version[list(lost[0].episodes), 0])
 
 
 def test_policies_that_play_nothing_more_are_forgotten():
     plan = schedule.unsynced(SECONDS, 25, 10, 2.0, HORIZON)
-    taken = collector(Toy(horizon=HORIZON), learning=LEARNING, layout=Layout(25, 1, 8), plan=plan)
+    taken = collector(Toy(horizon=HORIZON), learning=LEARNING, grid=Layout(25, 1, 8), plan=plan)
     model, held = ppo.build(LEARNING, taken), []
-    model.hooks.collected = lambda model, episodes: held.append(sorted(taken._policies))
+    model.hooks.collected = lambda model, episodes: held.append(sorted(taken._policies.kept))
     model.learn(LEARNING.episodes * HORIZON)
     assert [versions[-1] for versions in held] == [0, 1, 2, 3]
     for newest, versions in enumerate(held):
@@ -117,7 +118,7 @@ def test_policies_that_play_nothing_more_are_forgotten():
 @pytest.mark.parametrize("fault", ["raise", "kill"])
 def test_a_fault_on_the_real_clock_loses_no_episode_and_no_environment(tmp_path, processes, fault):
     toy = Toy(horizon=HORIZON, faults=((5, fault),), folder=tmp_path, seconds=0.02)
-    taken = collector(toy, learning=LEARNING, engine=processes, layout=Layout(8, 2, 4), plan=None)
+    taken = collector(toy, learning=LEARNING, engine=processes, grid=Layout(8, 2, 4), plan=None)
     policy = ppo.snapshot(ppo.build(LEARNING, taken))
     used = [episode.index for episode in taken.collect(policy)]
     begun = sorted(used + [index for index, _ in taken.pending()])
@@ -135,14 +136,14 @@ def test_an_episode_that_failed_during_an_update_is_still_on_its_way_for_the_che
         if failure.attempt == MOST_FAILURES:
             given_up.set()
 
-    taken = collector(toy, learning=LEARNING, engine=Threads(1), layout=Layout(1, 1, 1), plan=None, failed=failed)
+    taken = collector(toy, learning=LEARNING, engine=Threads(1), grid=Layout(1, 1, 1), plan=None, failed=failed)
     policy = ppo.snapshot(ppo.build(LEARNING, taken))
     taken.collect(policy)
     assert given_up.wait(60)  # while the learner would be updating: all of it under version 0
     with pytest.raises(EpisodeFailed):
         taken.collect(dataclasses.replace(policy, version=1))
     assert taken.pending() == [(10, 0), (11, 0)]
-    again = collector(Toy(horizon=HORIZON), learning=LEARNING, layout=Layout(1, 1, 1), plan=None)
+    again = collector(Toy(horizon=HORIZON), learning=LEARNING, grid=Layout(1, 1, 1), plan=None)
     again.resume(1, taken.pending(), lambda version: policy)
     assert [e.index for e in again.collect(dataclasses.replace(policy, version=1))] == list(range(10, 20))
 
@@ -150,7 +151,7 @@ def test_an_episode_that_failed_during_an_update_is_still_on_its_way_for_the_che
 def test_an_episode_that_always_fails_stops_the_training_and_is_named(tmp_path, processes):
     toy = Toy(horizon=HORIZON, faults=((13, "raise"),), folder=tmp_path, times=99)
     lost = []
-    taken = collector(toy, learning=LEARNING, run_seed=4, engine=processes, layout=Layout(10, 3, 5), failed=lost.append)
+    taken = collector(toy, learning=LEARNING, run_seed=4, engine=processes, grid=Layout(10, 3, 5), failed=lost.append)
     with pytest.raises(EpisodeFailed, match="episode 13 of run seed 4 failed 3 times.*episode 13 is bad") as caught:
         ppo.build(LEARNING, taken).learn(LEARNING.episodes * HORIZON)
     assert caught.value.index == 13
@@ -163,13 +164,13 @@ def test_blocks_never_mix_versions_and_never_outnumber_the_workers():
     lock = threading.Lock()
 
     class Counting(Toy):
-        def play(self, driving, explorations):
+        def play(self, driving, contexts):
             nonlocal running, most
             with lock:
                 running += 1
                 most = max(most, running)
             try:
-                episodes = super().play(driving, explorations)
+                episodes = super().play(driving, contexts)
                 versions.append({version for episode in episodes for version in episode.versions.tolist()})
                 return episodes
             finally:
@@ -177,14 +178,14 @@ def test_blocks_never_mix_versions_and_never_outnumber_the_workers():
                     running -= 1
 
     plan = schedule.unsynced(SECONDS, 25, 10, 0.3)
-    digest(toy=Counting(horizon=HORIZON, seconds=0.01), engine=Threads(8), layout=Layout(25, 3, 4), plan=plan)
+    digest(toy=Counting(horizon=HORIZON, seconds=0.01), engine=Threads(8), grid=Layout(25, 3, 4), plan=plan)
     assert most <= 3
     assert all(len(found) == 1 for found in versions)
 
 
 def test_an_action_is_drawn_by_the_policy_that_the_plan_gives_it():
     plan = schedule.unsynced(SECONDS, 25, 10, 2.0, HORIZON)
-    taken = collector(Toy(horizon=HORIZON), learning=LEARNING, layout=Layout(25, 1, 8), plan=plan)
+    taken = collector(Toy(horizon=HORIZON), learning=LEARNING, grid=Layout(25, 1, 8), plan=plan)
     model, policies, episodes = ppo.build(LEARNING, taken), [], []
 
     def remember(model, batch):
@@ -196,7 +197,7 @@ def test_an_action_is_drawn_by_the_policy_that_the_plan_gives_it():
     assert any(len(set(episode.versions)) > 1 for episode in episodes)
     for episode in episodes:
         np.testing.assert_array_equal(episode.versions, plan.version[episode.index])
-        noise = explore(0, episode.index, HORIZON, 1).noise
+        noise = context(0, episode.index, HORIZON, 1).noise
         for t, version in enumerate(episode.versions):
             mean = act(policies[version], episode.observations[t : t + 1])
             action, log_prob = sample(policies[version], mean, noise[t : t + 1])
@@ -206,7 +207,7 @@ def test_an_action_is_drawn_by_the_policy_that_the_plan_gives_it():
 @pytest.mark.parametrize("asks", [1, HORIZON])
 def test_a_collector_that_goes_on_from_the_middle_gives_the_same_episodes(asks):
     plan = schedule.unsynced(SECONDS, 25, 10, 2.0, asks)
-    whole = collector(Toy(horizon=HORIZON), learning=LEARNING, layout=Layout(25, 1, 8), plan=plan)
+    whole = collector(Toy(horizon=HORIZON), learning=LEARNING, grid=Layout(25, 1, 8), plan=plan)
     model = ppo.build(LEARNING, whole)
     policies = [ppo.snapshot(model)]
     batches = []
@@ -217,7 +218,7 @@ def test_a_collector_that_goes_on_from_the_middle_gives_the_same_episodes(asks):
 
     model.hooks.updated = remember
     model.learn(LEARNING.episodes * HORIZON)
-    again = collector(Toy(horizon=HORIZON), learning=LEARNING, layout=Layout(25, 1, 3), plan=plan)
+    again = collector(Toy(horizon=HORIZON), learning=LEARNING, grid=Layout(25, 1, 3), plan=plan)
     begun = np.flatnonzero((plan.version[:, -1] < 2) & (plan.update >= 2))
     assert (plan.version[plan.version[:, -1] >= 2, 0] < 2).any() == (asks > 1)  # those ask for old policies again
     again.resume(2, [(int(k), int(plan.version[k, 0])) for k in begun], policies.__getitem__)
@@ -258,7 +259,7 @@ def test_a_layout_that_does_not_fit_is_refused(given, message):
 
 
 def test_where_the_time_went_adds_up(processes):
-    taken = collector(Toy(horizon=HORIZON, seconds=0.2), learning=LEARNING, engine=processes, layout=Layout(10, 3, 4))
+    taken = collector(Toy(horizon=HORIZON, seconds=0.2), learning=LEARNING, engine=processes, grid=Layout(10, 3, 4))
     policy = ppo.snapshot(ppo.build(LEARNING, taken))
     taken.collect(policy)
     start = time.perf_counter()

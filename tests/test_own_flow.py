@@ -131,7 +131,7 @@ def test_a_process_keeps_a_bounded_number_of_flows():
 # ---- curves by data
 
 
-def fan(body, pieces: int = 8) -> Mesh:
+def fan(body, pieces: int = 24) -> Mesh:
     """A ring of triangles around a body, its facets named after its pieces."""
     names, ends = [], []
     for piece in body.pieces():

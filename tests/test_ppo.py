@@ -8,7 +8,7 @@ from stable_baselines3 import PPO
 
 from manywake.learn import policy as policies
 from manywake.learn import ppo, schedule
-from manywake.learn.collect import Layout
+from manywake.learn.blocks import Layout
 
 from .toy import LEARNING, Toy, collector
 
@@ -106,7 +106,7 @@ def test_a_ratio_to_the_current_policy_begins_at_one_however_old_the_episodes_ar
     found = {}
     for reference in ("behaviour", "current"):
         learning = replace(LEARNING, ratio_to=reference, n_epochs=1, batch_size=10 * HORIZON)
-        model = ppo.build(learning, collector(learning=learning, layout=Layout(30, 1, 30), plan=plan))
+        model = ppo.build(learning, collector(learning=learning, grid=Layout(30, 1, 30), plan=plan))
         before, clipped = [], []
 
         def updated(model, episodes, before=before, clipped=clipped):

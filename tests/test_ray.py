@@ -13,13 +13,17 @@ import pytest
 import ray
 from ray.cluster_utils import Cluster
 
-from manywake.learn import ppo, schedule
-from manywake.learn.collect import Layout
+from manywake.case.learning import Learning
+from manywake.learn import flows, ppo, schedule
+from manywake.learn.blocks import Layout
 from manywake.learn.engine import TimedOut, WorkerDied
 from manywake.learn.ray_engine import Ray
-from manywake.learn.settings import Collection, Learning
+from manywake.learn.settings import Collection
+from manywake.suite import load
 
+from .external import case_file
 from .test_engine import bad, die, hang
+from .test_runs import there_and_here
 from .toy import Toy, collector
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # of Ray's own threads and sockets, at shutdown
@@ -65,14 +69,27 @@ def test_a_future_tells_exception_death_and_time_out_apart(engine):
 
 
 def test_training_on_a_cluster_gives_the_bits_of_a_serial_one(engine):
-    assert digest(engine=engine, layout=Layout(8, 4, 2)) == digest()
+    assert digest(engine=engine, grid=Layout(8, 4, 2)) == digest()
+
+
+def test_a_users_reward_reaches_a_machine_where_its_file_is_not(tmp_path, engine):
+    file = case_file(tmp_path)
+    simulation = flows.open_flows(load.choose(file))
+    file.unlink()
+    ours, theirs = there_and_here(simulation, engine)
+    assert theirs == ours
+
+
+def test_several_variants_on_a_cluster_give_the_bits_of_a_serial_training(engine):
+    toy = Toy(horizon=HORIZON, variants=3)
+    assert digest(toy, engine=engine, grid=Layout(8, 4, 2)) == digest(toy)
 
 
 @pytest.mark.parametrize("fault", ["raise", "kill"])
 def test_a_fault_costs_no_bit(tmp_path, engine, fault):
     toy = Toy(horizon=HORIZON, faults=((3, fault), (17, fault)), folder=tmp_path)
     lost = []
-    assert digest(toy, engine=engine, layout=Layout(8, 4, 2), failed=lost.append) == digest()
+    assert digest(toy, engine=engine, grid=Layout(8, 4, 2), failed=lost.append) == digest()
     assert len(lost) == 2
 
 
@@ -80,19 +97,19 @@ def test_a_fault_costs_no_bit(tmp_path, engine, fault):
 class Gated(Toy):
     """From the twelfth episode on, a block says that it has begun, and waits for the gate to open."""
 
-    def play(self, driving, explorations):
-        if explorations[0].index >= 12:
-            (self.folder / f"begun-{explorations[0].index}").touch()
+    def play(self, driving, contexts):
+        if contexts[0].index >= 12:
+            (self.folder / f"begun-{contexts[0].index}").touch()
             while not (self.folder / "open").exists():
                 time.sleep(0.02)
-        return super().play(driving, explorations)
+        return super().play(driving, contexts)
 
 
 def test_a_node_that_vanishes_in_mid_training_costs_no_bit(cluster, tmp_path):
     made, nodes, engine = cluster
     toy = Gated(horizon=HORIZON, folder=tmp_path)
     plan = schedule.unsynced(schedule.durations(0, LEARNING.episodes, 5.0, 0.05), 12, 8, 0.3)
-    reference = digest(layout=Layout(12, 1, 12), plan=plan)
+    reference = digest(grid=Layout(12, 1, 12), plan=plan)
     lost = []
 
     def remove():
@@ -104,7 +121,7 @@ def test_a_node_that_vanishes_in_mid_training_costs_no_bit(cluster, tmp_path):
 
     remover = threading.Thread(target=remove)
     remover.start()
-    found = digest(toy, engine=engine, layout=Layout(12, 4, 2), plan=plan, failed=lost.append)
+    found = digest(toy, engine=engine, grid=Layout(12, 4, 2), plan=plan, failed=lost.append)
     remover.join()
     assert found == reference
     assert lost and all(failure.kind == "died" for failure in lost)
@@ -162,7 +179,7 @@ def listening() -> set[str]:
 
 if __name__ == "__main__":
     mine = Ray(2)
-    print(digest(engine=mine, layout=Layout(8, 2, 4)))
+    print(digest(engine=mine, grid=Layout(8, 2, 4)))
     print(*listening())
     mine.close()
     print(ray.is_initialized())

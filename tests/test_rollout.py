@@ -5,27 +5,28 @@ import dataclasses
 import numpy as np
 import pytest
 
-from manywake.env.task import Task
+from manywake.case.learning import Learning
 from manywake.learn import policy as policies
 from manywake.learn import ppo, schedule
-from manywake.learn.collect import Collector, Layout
+from manywake.learn.blocks import Layout, Planned
+from manywake.learn.collect import Collector
 from manywake.learn.engine import Processes, Threads
-from manywake.learn.rollout import JetFlows, explore
-from manywake.learn.settings import Learning
+from manywake.learn.flows import Flows
+from manywake.learn.rollout import context
+from manywake.suite import load
 
-TASK = Task(actions_per_episode=3)
+ACTIONS = 3
 LEARNING = Learning(update_period=5, episodes=10, learner_threads=1, batch_size=15, hidden=(16, 16))
 
 
 @pytest.fixture(scope="module")
 def flows(shipped):
-    return JetFlows(*shipped, TASK)
+    return Flows(shipped, load.choose("cylinder-jets", actions=ACTIONS))
 
 
 def taken(flows, engine=None, lanes=5, workers=1) -> Collector:
-    return Collector(
-        engine or Threads(1), flows, 7, Layout(5, workers, lanes), 5, 10, schedule.synced(np.ones(10), 5, 5, 0.1)
-    )
+    grid = Layout(5, workers, lanes)
+    return Collector(engine or Threads(1), flows, 7, grid, Planned(schedule.synced(np.ones(10), 5, 5, 0.1), grid))
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +42,7 @@ def policy(flows):
 
 
 def play(flows, policy, indices, run_seed=7):
-    return flows.play([policy], [explore(run_seed, index, TASK.actions_per_episode, 1) for index in indices])
+    return flows.play([policy], [context(run_seed, index, ACTIONS, 1) for index in indices])
 
 
 def physics(episode) -> bytes:
@@ -79,7 +80,7 @@ def test_another_episode_or_run_seed_explores_differently(flows, policy, alone):
 def test_training_gives_the_same_policy_for_any_number_of_lanes_and_workers(flows, processes):
     def digest(*how):
         model = ppo.build(LEARNING, taken(flows, *how))
-        model.learn(LEARNING.episodes * TASK.actions_per_episode)
+        model.learn(LEARNING.episodes * ACTIONS)
         return ppo.digest(model)
 
     assert digest() == digest(Threads(2), 3, 2) == digest(processes, 1, 3)
@@ -89,7 +90,7 @@ def test_actions_are_stored_as_drawn_and_played_clipped(flows, policy):
     loud = dataclasses.replace(policy, std=np.array([5.0]), log_std=np.log([5.0]))
     episode = play(flows, loud, [0])[0]
     assert np.abs(episode.actions).max() > 1
-    assert np.abs(episode.readings["jets"]).max() <= TASK.max_flow_rate
+    assert np.abs(episode.readings["amplitude_rms"]).max() <= 1  # of the jets' limit
 
 
 def test_a_policy_comes_back_from_its_file_as_it_went(policy, tmp_path):
@@ -106,8 +107,8 @@ def test_a_policy_comes_back_from_its_file_as_it_went(policy, tmp_path):
 
 def test_a_worker_never_assembles(flows, policy, processes):
     """What a worker plays with came from the trainer, with nothing in it that assembly would have left."""
-    assert processes.submit(assembled_there, processes.share(flows)).result(60) == (True, flows.operators.digest)
+    assert processes.submit(assembled_there, processes.share(flows)).result(60) == (True, flows.flow.operators.digest)
 
 
 def assembled_there(flows):
-    return "space" not in vars(flows.operators), flows.operators.digest
+    return "space" not in vars(flows.flow.operators), flows.flow.operators.digest

@@ -2,6 +2,7 @@
 
 import base64
 import dataclasses
+import json
 import multiprocessing
 import os
 import pickle
@@ -14,12 +15,20 @@ import zipfile
 
 import pytest
 
-from manywake.env.task import Task
-from manywake.flow import case
-from manywake.learn import runs, train
-from manywake.learn.collect import Layout
+from manywake import api
+from manywake.case.learning import Learning
+from manywake.learn import checkpoints, external, flows, replay, tables, train
+from manywake.learn.blocks import Layout
 from manywake.learn.engine import Processes, Threads
-from manywake.learn.settings import Collection, Learning, Settings
+from manywake.learn.flows import Flows
+from manywake.learn.rollout import Simulation
+from manywake.learn.runs import Run
+from manywake.learn.settings import Collection, Settings
+from manywake.learn.train import Trained
+from manywake.suite import load
+
+from .toy import LEARNING as TOY_LEARNING
+from .toy import Toy
 
 LEARNING = Learning(update_period=4, episodes=16, learner_threads=1, batch_size=8, n_epochs=2, hidden=(8, 8))
 LAYOUT = Layout(4, 2, 2)
@@ -29,18 +38,39 @@ NEWEST = dataclasses.replace(UNSYNCED, newest_policy="action", episode_seconds=2
 """Updates of half an episode's time: they come amid episodes."""
 
 
-def settings(collection=Collection(), seed=5) -> Settings:  # noqa: B008
-    return Settings(case.by_name("cylinder-jets"), Task(actions_per_episode=2), LEARNING, collection, seed)
+def settings(collection=Collection(), seed=5, learning=LEARNING) -> Settings:  # noqa: B008
+    return Settings(learning, collection, seed)
+
+
+def short() -> Flows:
+    """The default case with two actions an episode."""
+    return flows.open_flows(load.choose("cylinder-jets", actions=2))
+
+
+def point(name="tests.external:make", actions=4) -> Simulation:
+    """An environment that is not ours."""
+    return external.open_simulation(name, actions, os.getcwd())
+
+
+def resume(folder, engine, grid, show=train.quiet, env=None) -> Trained:
+    """Go on with a run as its folder has it."""
+    return train.resume(folder, api.load_run(folder, env=env).simulation, engine, grid, show)
+
+
+def replayed(folder, index, env=None) -> replay.Replay:
+    """Play an episode of a run again, as its folder has it."""
+    opened = api.load_run(folder, env=env)
+    return replay.replay(opened.run, opened.simulation, index)
 
 
 def played(folder) -> list[tuple]:
     """The rows of episodes.csv without their times."""
-    return runs.untimed(runs.rows(folder / "episodes.csv"))
+    return tables.untimed(tables.read(folder / "episodes.csv"))
 
 
 def final(folder) -> tuple:
     """All that the end of a training is: weights and moments, to the bit, and the episodes."""
-    _, _, weights, moments = runs.newest(runs.Run(folder))
+    _, _, weights, moments = checkpoints.newest(Run(folder))
     tensors = [tensor for state in moments["state"].values() for tensor in state.values()]
     return [t.numpy().tobytes() for t in [*weights.values(), *tensors]], played(folder)
 
@@ -54,9 +84,9 @@ def whole(tmp_path_factory):
         ("unsynced", UNSYNCED, Layout(6, 2, 3)),
         ("newest", NEWEST, Layout(6, 2, 3)),
     )
-    for name, collection, layout in kinds:
+    for name, collection, grid in kinds:
         made[name] = tmp_path_factory.mktemp("runs") / name
-        train.train(made[name], settings(collection), Threads(2), layout)
+        train.train(made[name], short(), settings(collection), Threads(2), grid)
     return made
 
 
@@ -64,35 +94,34 @@ class Stop(Exception):
     pass
 
 
-def stopped_after(folder, updates, collection=Collection(), layout=LAYOUT):  # noqa: B008
+def stopped_after(folder, updates, collection=Collection(), grid=LAYOUT, simulation=None, learning=LEARNING):  # noqa: B008
     """Train, and stop amid the collection that follows a number of updates."""
     seen = []
 
     def show(episodes, shares, failures):
         seen.extend(episodes)
-        if len(runs.rows(folder / "updates.csv")) >= updates:
+        if len(tables.read(folder / "updates.csv")) >= updates:
             raise Stop
 
     with pytest.raises(Stop):
-        train.train(folder, settings(collection), Threads(1), layout, show)
+        train.train(folder, simulation or short(), settings(collection, learning=learning), Threads(1), grid, show)
 
 
 def test_training_stops_when_patience_is_out_and_not_before(tmp_path):
-    folder, asked = tmp_path / "run", settings()
-    asked = dataclasses.replace(asked, learning=dataclasses.replace(LEARNING, episodes=64, patience=2))
-    trained = train.train(folder, asked, Threads(1), LAYOUT)
-    rewards = [float(row["reward"]) for row in runs.rows(folder / "episodes.csv")]
+    folder, asked = tmp_path / "run", settings(learning=dataclasses.replace(LEARNING, episodes=64, patience=2))
+    trained = train.train(folder, short(), asked, Threads(1), LAYOUT)
+    rewards = [float(row["reward"]) for row in tables.read(folder / "episodes.csv")]
     means = [sum(rewards[k : k + 4]) / 4 for k in range(0, len(rewards), 4)]
     waited = [update - max(range(update + 1), key=means.__getitem__) for update in range(len(means))]
     assert trained.episodes == len(rewards) < 64
     assert waited[-1] == 2 and max(waited[:-1]) < 2
-    assert train.resume(folder, Threads(1), LAYOUT).policy_sha256 == trained.policy_sha256
+    assert resume(folder, Threads(1), LAYOUT).policy_sha256 == trained.policy_sha256
 
 
 @pytest.mark.parametrize("updates", [0, 1, 3])
 def test_a_synced_training_goes_on_to_the_same_bits(tmp_path, whole, updates):
     stopped_after(tmp_path / "run", updates)
-    train.resume(tmp_path / "run", Threads(2), Layout(4, 1, 4))
+    resume(tmp_path / "run", Threads(2), Layout(4, 1, 4))
     assert final(tmp_path / "run") == final(whole["synced"])
 
 
@@ -101,29 +130,29 @@ def test_a_synced_training_goes_on_to_the_same_bits(tmp_path, whole, updates):
 def test_an_unsynced_training_on_the_virtual_clock_goes_on_with_what_was_on_its_way(
     tmp_path, whole, updates, kind, how
 ):
-    ages = {float(row["staleness"]) for row in runs.rows(whole[kind] / "episodes.csv")}
+    ages = {float(row["staleness"]) for row in tables.read(whole[kind] / "episodes.csv")}
     assert max(ages) > 0.0 and any(age % 1 for age in ages) == (kind == "newest")
     stopped_after(tmp_path / "run", updates, how, Layout(6, 1, 3))
-    train.resume(tmp_path / "run", Threads(2), Layout(6, 2, 3))
+    resume(tmp_path / "run", Threads(2), Layout(6, 2, 3))
     assert final(tmp_path / "run") == final(whole[kind])
 
 
 def test_an_episode_of_several_policies_is_replayed_to_the_bit(whole):
-    mixed = [row for row in runs.rows(whole["newest"] / "episodes.csv") if float(row["staleness"]) % 1]
+    mixed = [row for row in tables.read(whole["newest"] / "episodes.csv") if float(row["staleness"]) % 1]
     assert mixed
-    assert all(train.replay(runs.Run(whole["newest"]), int(row["episode"])).same for row in mixed)
+    assert all(replayed(whole["newest"], int(row["episode"])).same for row in mixed)
 
 
 def test_an_unsynced_training_on_the_real_clock_goes_on_without_losing_an_episode(tmp_path):
     stopped_after(tmp_path / "run", 2, Collection(schedule="unsynced"), Layout(6, 2, 3))
-    train.resume(tmp_path / "run", Threads(2), Layout(6, 2, 3))
-    rows = runs.rows(tmp_path / "run" / "episodes.csv")
+    resume(tmp_path / "run", Threads(2), Layout(6, 2, 3))
+    rows = tables.read(tmp_path / "run" / "episodes.csv")
     assert sorted(int(row["episode"]) for row in rows) == list(range(16))
 
 
 def test_resuming_a_training_that_is_done_changes_nothing(whole):
     before = final(whole["synced"])
-    train.resume(whole["synced"], Threads(1), LAYOUT)
+    resume(whole["synced"], Threads(1), LAYOUT)
     assert final(whole["synced"]) == before
 
 
@@ -131,17 +160,17 @@ def test_kill_9_of_the_trainer_then_resume_gives_the_same_bits(tmp_path, whole):
     folder = tmp_path / "run"
     words = [
         *("--seed", "5", "--update-period", "4", "--episodes", "16", "--batch-size", "8", "--n-epochs", "2"),
-        *("--hidden", "8", "8", "--actions-per-episode", "2", "--workers", "2", "--lanes", "2", "--envs", "4"),
+        *("--hidden", "8", "8", "--actions", "2", "--workers", "2", "--lanes", "2", "--envs", "4"),
     ]
     command = [sys.executable, "-m", "manywake.cli", "train", "--run", str(folder), *words]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as trainer:
         try:
-            while len(runs.rows(folder / "updates.csv")) < 2 and trainer.poll() is None:
+            while len(tables.read(folder / "updates.csv")) < 2 and trainer.poll() is None:
                 time.sleep(0.005)
         finally:
             trainer.kill()
-    assert len(runs.rows(folder / "updates.csv")) < 4, "it was too fast to be killed"
-    train.resume(folder, Threads(2), LAYOUT)
+    assert len(tables.read(folder / "updates.csv")) < 4, "it was too fast to be killed"
+    resume(folder, Threads(2), LAYOUT)
     assert final(folder) == final(whole["synced"])
 
 
@@ -149,8 +178,8 @@ def test_a_truncated_checkpoint_falls_back_to_the_one_before(tmp_path, whole):
     shutil.copytree(whole["synced"], tmp_path / "run")
     last = tmp_path / "run" / "checkpoints" / "last.zip"
     last.write_bytes(last.read_bytes()[: last.stat().st_size // 2])
-    assert runs.newest(runs.Run(tmp_path / "run"))[1].version == 3
-    train.resume(tmp_path / "run", Threads(1), LAYOUT)
+    assert checkpoints.newest(Run(tmp_path / "run"))[1].version == 3
+    resume(tmp_path / "run", Threads(1), LAYOUT)
     assert final(tmp_path / "run") == final(whole["synced"])
 
 
@@ -158,7 +187,7 @@ def test_a_killed_trainer_leaves_its_last_row_cut_short_and_resume_drops_it(tmp_
     stopped_after(tmp_path / "run", 2)
     with open(tmp_path / "run" / "episodes.csv", "a") as file:
         file.write("8,2,2,0,2,-0.1")
-    train.resume(tmp_path / "run", Threads(1), LAYOUT)
+    resume(tmp_path / "run", Threads(1), LAYOUT)
     assert final(tmp_path / "run") == final(whole["synced"])
 
 
@@ -167,7 +196,7 @@ def test_without_a_whole_checkpoint_resume_says_so(tmp_path, whole):
     for path in (tmp_path / "run" / "checkpoints").glob("*.zip"):
         path.write_bytes(b"")
     with pytest.raises(ValueError, match="has no whole checkpoint .*it must be trained anew"):
-        train.resume(tmp_path / "run", Threads(1), LAYOUT)
+        resume(tmp_path / "run", Threads(1), LAYOUT)
 
 
 def test_a_worker_killed_in_mid_training_changes_no_bit(tmp_path, whole):
@@ -182,11 +211,11 @@ def test_a_worker_killed_in_mid_training_changes_no_bit(tmp_path, whole):
 
     try:
         assert len(victims) >= 2
-        trained = train.train(tmp_path / "run", settings(), engine, Layout(4, 2, 1), show)
+        trained = train.train(tmp_path / "run", short(), settings(), engine, Layout(4, 2, 1), show)
     finally:
         engine.close()
     assert final(tmp_path / "run") == final(whole["synced"])
-    rows = runs.rows(tmp_path / "run" / "failures.csv")
+    rows = tables.read(tmp_path / "run" / "failures.csv")
     assert trained.failures == len(rows) >= 1
     assert all(row["kind"] == "died" for row in rows)
 
@@ -202,26 +231,22 @@ def test_a_full_disk_stops_the_training_and_says_how_to_go_on(tmp_path, whole):
             table.symlink_to("/dev/full")
 
     with pytest.raises(RuntimeError, match="cannot write .*No space left.* go on with: manywake resume"):
-        train.resume(folder, Threads(1), LAYOUT, fill)
+        resume(folder, Threads(1), LAYOUT, fill)
     (folder / "kept").replace(folder / "episodes.csv")
-    train.resume(folder, Threads(1), LAYOUT)
+    resume(folder, Threads(1), LAYOUT)
     assert final(folder) == final(whole["synced"])
 
 
 def test_a_disk_that_is_too_small_is_refused_before_the_first_episode(tmp_path):
     long = Learning(update_period=1, episodes=10**9, learner_threads=1, hidden=(8, 8))
     with pytest.raises(ValueError, match="of free space, wanted"):
-        train.train(
-            tmp_path / "run",
-            dataclasses.replace(settings(Collection(schedule="unsynced")), learning=long),
-            Threads(1),
-            Layout(1, 1, 1),
-        )
+        asked = settings(Collection(schedule="unsynced"), learning=long)
+        train.train(tmp_path / "run", short(), asked, Threads(1), Layout(1, 1, 1))
 
 
 def test_more_environments_than_a_synced_update_has_episodes_are_refused(tmp_path):
     with pytest.raises(ValueError, match="envs: got 6, wanted at most the 4 episodes"):
-        train.train(tmp_path / "run", settings(), Threads(1), Layout(6, 2, 3))
+        train.train(tmp_path / "run", short(), settings(), Threads(1), Layout(6, 2, 3))
 
 
 class Trap:
@@ -246,7 +271,7 @@ def test_code_in_a_checkpoint_is_never_run(tmp_path, whole, member):
     with zipfile.ZipFile(tmp_path / "run" / "checkpoints" / "last.zip", "w") as archive:
         for name, data in content.items():
             archive.writestr(name, data)
-    version = runs.newest(runs.Run(tmp_path / "run"))[1].version
+    version = checkpoints.newest(Run(tmp_path / "run"))[1].version
     assert version == (4 if member == "data" else 3)
     assert not (tmp_path / "sprung").exists()
 
@@ -254,37 +279,50 @@ def test_code_in_a_checkpoint_is_never_run(tmp_path, whole, member):
 def test_a_table_that_a_full_disk_left_empty_does_not_keep_a_run_from_going_on(tmp_path, whole):
     stopped_after(tmp_path / "run", 1)
     (tmp_path / "run" / "updates.csv").write_text("upd")
-    train.resume(tmp_path / "run", Threads(1), LAYOUT)
+    resume(tmp_path / "run", Threads(1), LAYOUT)
     assert final(tmp_path / "run") == final(whole["synced"])
 
 
 def test_an_episode_that_always_fails_names_itself_and_how_to_replay_it(tmp_path):
-    broken = dataclasses.replace(settings(), env="tests.external:broken")
+    broken = point("tests.external:broken", 2)
     with pytest.raises(RuntimeError, match=r"seed 5 failed 3 times.*out of order; play it alone with: manywake replay"):
-        train.train(tmp_path / "run", broken, Threads(1), LAYOUT)
-    failures = runs.rows(tmp_path / "run" / "failures.csv")
+        train.train(tmp_path / "run", broken, settings(), Threads(1), LAYOUT)
+    failures = tables.read(tmp_path / "run" / "failures.csv")
     assert [row["attempt"] for row in failures][-1] == "3"
     with pytest.raises(ArithmeticError, match="out of order"):
-        train.replay(runs.Run(tmp_path / "run"), int(failures[-1]["episodes"]))
+        replayed(tmp_path / "run", int(failures[-1]["episodes"]), env="tests.external:broken")
 
 
 def test_any_gymnasium_environment_is_trained_resumed_and_replayed_alike(tmp_path):
-    own = dataclasses.replace(settings(), env="tests.external:make", task=Task(actions_per_episode=4))
-    engine = Processes(2)
+    name, engine = "tests.external:make", Processes(2)
     try:
-        trained = train.train(tmp_path / "a", own, engine, LAYOUT)
+        trained = train.train(tmp_path / "a", point(name), settings(), engine, LAYOUT)
     finally:
         engine.close()
-    assert train.train(tmp_path / "b", own, Threads(1), Layout(1, 1, 1)).policy_sha256 == trained.policy_sha256
+    again = train.train(tmp_path / "b", point(name), settings(), Threads(1), Layout(1, 1, 1))
+    assert again.policy_sha256 == trained.policy_sha256
     assert played(tmp_path / "a") == played(tmp_path / "b")
-    assert train.replay(runs.Run(tmp_path / "a"), 7).same is True
-    assert {"info_distance", "length", "reward"} <= set(runs.rows(tmp_path / "a" / "episodes.csv")[0])
+    assert replayed(tmp_path / "a", 7, env=name).same is True
+    assert {"info_distance", "length", "reward"} <= set(tables.read(tmp_path / "a" / "episodes.csv")[0])
+    stopped_after(tmp_path / "c", 2, simulation=point(name))
+    resume(tmp_path / "c", Threads(2), LAYOUT, env=name)
+    assert final(tmp_path / "c") == final(tmp_path / "a")
+
+
+def test_a_gymnasium_environment_is_evaluated_by_its_rewards(tmp_path):
+    train.train(tmp_path / "run", point(), settings(), Threads(1), LAYOUT)
+    opened = api.load_run(tmp_path / "run", env="tests.external:make")
+    found, again = api.evaluate(opened), api.evaluate(opened, workers=1)
+    assert found.summary() == again.summary()
+    rewards = found.summary()["rewards"]
+    assert len(set(rewards)) == external.EVALUATED  # each from a start of its own
+    assert found.summary()["reward_mean"] == pytest.approx(sum(rewards) / external.EVALUATED)
+    assert found.table()[0] == ("policy without noise", "16 episodes")
 
 
 def test_a_registered_environment_is_found_by_its_id(tmp_path):
-    registered = dataclasses.replace(settings(), env="Pendulum-v1", task=Task(actions_per_episode=4))
-    train.train(tmp_path / "run", registered, Threads(1), LAYOUT)
-    assert runs.rows(tmp_path / "run" / "episodes.csv")[0]["length"] == "200"  # its own limit
+    train.train(tmp_path / "run", point("Pendulum-v1"), settings(), Threads(1), LAYOUT)
+    assert tables.read(tmp_path / "run" / "episodes.csv")[0]["length"] == "200"  # its own limit
 
 
 @pytest.mark.parametrize(
@@ -298,4 +336,70 @@ def test_a_registered_environment_is_found_by_its_id(tmp_path):
 )
 def test_an_environment_that_cannot_be_collected_is_refused(tmp_path, name, message):
     with pytest.raises(ValueError, match=message):
-        train.train(tmp_path / "run", dataclasses.replace(settings(), env=name), Threads(1), LAYOUT)
+        api.train(env=name, learning=LEARNING, run=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+# ---- a third kind of simulation, which nothing of manywake has heard of
+
+THIRD = Toy(horizon=6, variants=3)
+
+
+def test_a_simulation_of_another_kind_is_trained_and_resumed_to_the_same_bits(tmp_path):
+    engine = Processes(2)
+    try:
+        trained = train.train(tmp_path / "whole", THIRD, settings(), engine, LAYOUT)
+    finally:
+        engine.close()
+    serial = train.train(tmp_path / "serial", THIRD, settings(), Threads(1), Layout(1, 1, 1))
+    assert serial.policy_sha256 == trained.policy_sha256
+    assert final(tmp_path / "serial") == final(tmp_path / "whole")
+    stopped_after(tmp_path / "stopped", 2, simulation=THIRD)
+    about = Run(tmp_path / "stopped").simulation
+    assert about.pop("kind") == "toy"
+    train.resume(tmp_path / "stopped", Toy(**{**about, "faults": ()}), Threads(2), Layout(4, 1, 4))
+    assert final(tmp_path / "stopped") == final(tmp_path / "whole")
+    assert json.loads((tmp_path / "whole" / "toy.json").read_text())["variants"] == 3
+    assert Run(tmp_path / "whole").described()["kept"] == {"drift": "0.1"}
+
+
+@pytest.mark.parametrize("collection", [UNSYNCED, NEWEST])
+def test_a_simulation_of_another_kind_goes_on_with_what_was_on_its_way(tmp_path, collection):
+    learning = dataclasses.replace(LEARNING, episodes=24)  # some of them begin after two updates only
+    train.train(tmp_path / "whole", THIRD, settings(collection, learning=learning), Threads(2), Layout(6, 2, 3))
+    stopped_after(tmp_path / "stopped", 2, collection, Layout(6, 1, 3), THIRD, learning)
+    assert checkpoints.newest(Run(tmp_path / "stopped"))[1].pending
+    train.resume(tmp_path / "stopped", THIRD, Threads(2), Layout(6, 2, 2))
+    assert final(tmp_path / "stopped") == final(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("collection", [Collection(), UNSYNCED, NEWEST, Collection(schedule="unsynced")])
+def test_every_episode_of_a_simulation_of_another_kind_is_replayed_to_the_bit(tmp_path, collection):
+    train.train(tmp_path / "run", THIRD, settings(collection), Threads(2), Layout(4, 2, 2))
+    run = Run(tmp_path / "run")
+    for row in tables.read(run.folder / "episodes.csv"):
+        again = replay.replay(run, THIRD, int(row["episode"]))
+        assert again.same is True
+        assert str(again.numbers["x"]) == row["x"]
+
+
+def test_a_simulation_of_another_kind_is_evaluated(tmp_path):
+    toy = Toy(variants=2)
+    trained = train.train(tmp_path / "run", toy, settings(seed=2, learning=TOY_LEARNING), Threads(1), LAYOUT)
+    opened = api.OpenRun(Run(tmp_path / "run"), toy)
+    found, again = api.evaluate(opened), api.evaluate(opened, workers=1)
+    assert found.summary() == again.summary()
+    first = toy.evaluate(opened.run.version(0), Threads(1))
+    assert found.summary()["x"] < 0.5 * first.summary()["x"]
+    reached = trained.reached["0.05"]
+    assert reached is not None and reached[0] % TOY_LEARNING.update_period == 0
+    found.draw(opened.folder, "-x")
+    assert (opened.folder / "distances-x.txt").exists()
+
+
+def test_a_simulation_of_another_kind_goes_on_by_the_api_too(tmp_path):
+    how = Collection(engine="serial", envs=4, workers=2, lanes=2)
+    trained = api.train_into(tmp_path / "whole", THIRD, settings(how))
+    stopped_after(tmp_path / "run", 1, how, simulation=THIRD)
+    opened = api.OpenRun(Run(tmp_path / "run"), THIRD)
+    assert api.resume(opened, engine="threads", workers=1).policy_sha256 == trained.policy_sha256
