@@ -190,9 +190,9 @@ class AsTheyCome:
         return first if len(first) == self.period else None
 
     def resume(self, version: int, pending: Iterable[tuple[int, int]]) -> list[Block]:
+        pending = list(pending)
+        self._next = version * self.period + len(pending)  # those used and those on their way are all that were begun
         by_version = _by_version(pending)
-        begun = [index for _, indices in by_version for index in indices]
-        self._next = max([version * self.period - 1, *begun]) + 1
         return [block for played_by, indices in by_version for block in self._queue(indices, played_by, (played_by,))]
 
 
