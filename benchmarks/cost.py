@@ -16,26 +16,23 @@ from typing import Any
 
 import numpy as np
 
-from manywake.flow import mesh, operators, space
+from manywake.flow import archive, baseline, mesh, problem
 from manywake.flow.batch import FlowBatch, Start
-from manywake.flow.case import CASES, Resolution
 from manywake.flow.operators import Operators
+from manywake.suite.cylinder_jets import CASE
 
 FACTORS = (2.2, 1.6, 1.0, 0.7, 0.5, 0.38, 0.27, 0.19)
-LENGTHS = ("cylinder", "layer_height", "wake", "far")
+LENGTHS = ("body", "layer_height", "wake", "far")
 STEPS, REPEATS, LANES = 20, 7, 8
 
 
 def build(factor: float) -> Operators:
     """Assemble the case on a mesh whose triangles are `factor` times as long, with a uniform mean flow."""
-    case = CASES["cylinder-jets"]
-    lengths = {name: factor * getattr(case.resolution, name) for name in LENGTHS}
-    facets = max(1, round(case.resolution.jet_facets / factor))
-    resolution = dataclasses.replace(Resolution(), **lengths, jet_facets=facets)
-    case = dataclasses.replace(case, resolution=resolution)
-    grid = mesh.build(case)
-    mean = np.tile([1.0, 0.0], (len(space.build(grid).x), 1))
-    return operators.assemble(case, grid, mean)
+    lengths = {name: factor * getattr(CASE.sizes, name) for name in LENGTHS}
+    facets = max(1, round(CASE.sizes.part_facets / factor))
+    case = dataclasses.replace(CASE, sizes=dataclasses.replace(CASE.sizes, **lengths, part_facets=facets))
+    posed = problem.pose(case, mesh.build(case))
+    return baseline.assemble(case, posed, np.tile([1.0, 0.0], (len(posed.space.x), 1)))
 
 
 def row(factor: float) -> dict[str, Any]:
@@ -44,19 +41,19 @@ def row(factor: float) -> dict[str, Any]:
     assembled = time.perf_counter() - start
     n, m = len(ops.velocity_order), len(ops.pressure_order)
     rest = Start(np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(m), np.zeros(m), np.zeros(m))
-    jets = np.zeros((STEPS, len(ops.case.jets), LANES))
-    FlowBatch(ops, rest, LANES).advance(jets)  # loads compiled code
+    still = np.zeros((STEPS, len(ops.inputs), LANES))
+    FlowBatch(ops, rest, LANES).advance(still)  # loads compiled code
     tracemalloc.start()
     flow = FlowBatch(ops, rest, LANES)
-    flow.advance(jets)
+    flow.advance(still)
     held, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     samples = []
     for _ in range(REPEATS):
         start = time.perf_counter()
-        flow.advance(jets)
+        flow.advance(still)
         samples.append((time.perf_counter() - start) * 1e3 / (STEPS * LANES))
-    shared = sum(array.nbytes for array in operators.arrays(ops).values())
+    shared = sum(array.nbytes for array in archive.arrays(ops).values())
     return {
         "triangles": len(ops.mesh.triangles),
         "velocity_dofs": 2 * n,

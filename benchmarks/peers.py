@@ -21,6 +21,8 @@ from typing import Any
 
 import numpy as np
 
+from manywake.cli.show import say
+
 FOLDER = Path(__file__).with_suffix("")
 EPISODE = 2.0
 WIDTHS = (1, 8, 16, 32)
@@ -34,10 +36,6 @@ PEERS = {
 }
 NEEDS = {SYSTEM_PYTHON: ("dolfin, petsc4py", "apt-get install python3-dolfin"), sys.executable: ("skfem", "scikit-fem")}
 OURS = [sys.executable, "ours.py", *map(str, WIDTHS)]
-
-
-def say(*words: Any) -> None:
-    print(*words, file=sys.stderr, flush=True)
 
 
 def missing(python: str) -> str | None:
@@ -112,7 +110,7 @@ def measure(repeats: int = 5, steps: int = 60) -> dict[str, Any]:
             last = runs[name][-1]
             timed = last["widths"] if name == "manywake" else {"": last}
             shown = [f"{w and f'B={w} '}{statistics.median(x['cpu_ms']):.3f}" for w, x in timed.items()]
-            say(f"turn {turn + 1}/{repeats}, {name}:", ", ".join(shown), "ms per flow and step")
+            say(f"turn {turn + 1}/{repeats}, {name}: {', '.join(shown)} ms per flow and step")
     load.append(os.getloadavg()[0])
 
     ours = runs["manywake"][0]
@@ -174,7 +172,3 @@ def _cpu() -> str:
     except OSError:
         return platform.processor()
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")
-
-
-if __name__ == "__main__":
-    print(json.dumps(measure()))

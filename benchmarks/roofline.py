@@ -17,12 +17,13 @@ from typing import Any
 import numba
 import numpy as np
 
-from manywake.flow import baseline, simd
+from manywake.flow import store as flows
 from manywake.flow.batch import FlowBatch
-from manywake.flow.case import CASES
 from manywake.flow.kernels import convection, divergence, extrapolate, linear_terms, solve
 from manywake.flow.operators import Operators
-from manywake.flow.simd import fma, load, splat, store
+from manywake.machine import simd
+from manywake.machine.simd import fma, load, splat, store
+from manywake.suite import cylinder_jets
 
 REPEATS = 15
 INNER = 20
@@ -170,8 +171,8 @@ def work(ops: Operators, width: int) -> dict[str, tuple[Callable[[int], Any], in
 
 def measure() -> dict[str, Any]:
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    case, width = CASES["cylinder-jets"], simd.WIDTHS[0]
-    ops, base = baseline.assembled(case)
+    flow, width = flows.flow(cylinder_jets.CASE), simd.WIDTHS[0]
+    ops = flow.operators
     passes = work(ops, width)
     everything = sum(traffic for _, _, traffic in passes.values())
     flops, bandwidth = peaks(width, everything // 2)
@@ -187,10 +188,10 @@ def measure() -> dict[str, Any]:
             "ms_by_traffic": traffic / bandwidth / 1e6,
             "share_of_roof": least / took,
         }
-    flow, jets = FlowBatch(ops, base.start, width), np.zeros((25, len(case.jets), width))
-    step = _seconds(lambda k: [flow.advance(jets) for _ in range(k)], 4) / len(jets)
+    batch, still = FlowBatch(ops, flow.baseline.start, width), np.zeros((25, len(ops.inputs), width))
+    step = _seconds(lambda k: [batch.advance(still) for _ in range(k)], 4) / len(still)
     return {
-        "case": case.name,
+        "case": "cylinder-jets",
         "lanes": width,
         "peak_gflops": flops,
         "bandwidth_gbytes": bandwidth,

@@ -22,7 +22,11 @@ def trained(tree: Path, folder: Path) -> str:
     words = ["train", "--seed", "0", "--episodes", "32", "--run", str(folder), "--json"]
     path = {"PYTHONPATH": str(tree / "src")}
     done = subprocess.run(
-        [sys.executable, "-m", "manywake.cli", *words], env=os.environ | path, cwd=tree, stdout=subprocess.PIPE, check=True
+        [sys.executable, "-m", "manywake.cli", *words],
+        env=os.environ | path,
+        cwd=tree,
+        stdout=subprocess.PIPE,
+        check=True,
     )
     return json.loads(done.stdout.decode().splitlines()[-1])["policy_sha256"]
 
@@ -59,7 +63,9 @@ def main(base: str) -> int:
     here = Path(__file__).parents[1]
     with tempfile.TemporaryDirectory() as name:
         there = Path(name) / "tree"
-        subprocess.run(["git", "worktree", "add", "--detach", str(there), base], cwd=here, check=True, capture_output=True)
+        subprocess.run(
+            ["git", "worktree", "add", "--detach", str(there), base], cwd=here, check=True, capture_output=True
+        )
         try:
             hashes = [trained(tree, Path(name) / run) for tree, run in ((here, "here"), (there, "there"))]
             found = compare(Path(name) / "here", Path(name) / "there")

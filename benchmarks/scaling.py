@@ -1,5 +1,7 @@
 """Speed-up of collection with the number of environments, on stand-ins that sleep for an episode's time.
 
+Run: manywake bench scaling --json
+
 An environment here sleeps and then returns an episode of real size, so that many fit on few cores; what is left is what
 the collector, the engine and the transport cost. Synced up to the 20 episodes of an update, unsynced beyond. Speed-up
 is of episodes per second of whole updates, start-up excluded, against the mean of what N = 1 took. overhead: wall time
@@ -9,7 +11,6 @@ of its sleep to the learner and from the collector to the worker, median.
 
 import json
 import statistics
-import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -17,8 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from gymnasium.spaces import Box
 
+from manywake.cli.show import say
 from manywake.learn import schedule
-from manywake.learn.collect import Collector, Layout
+from manywake.learn.blocks import AsTheyCome, Layout, Planned
+from manywake.learn.collect import Collector
 from manywake.learn.engine import Processes
 from manywake.learn.policy import Policy
 from manywake.learn.rollout import Episode
@@ -30,7 +33,7 @@ SECONDS = 5.0
 
 @dataclass(frozen=True)
 class Sleeper:
-    """Sleeps for `seconds`[episode] and returns an episode as long as the paper's."""
+    """Sleeps for `seconds`[episode] and returns an episode as long as the paper's: what a collector asks of one."""
 
     seconds: np.ndarray
     horizon: int = HORIZON
@@ -38,14 +41,8 @@ class Sleeper:
     def spaces(self):
         return Box(-1, 1, (151,), np.float32), Box(-1, 1, (1,), np.float32)
 
-    def summary(self, episode):
-        return {}
-
-    def expected_seconds(self, lanes):
-        return None
-
-    def play(self, driving, explorations):
-        index = explorations[0].index
+    def play(self, driving, contexts):
+        index = contexts[0].index
         time.sleep(self.seconds[index])
         zero = np.zeros(HORIZON)
         observations = np.random.default_rng(index).standard_normal((HORIZON, 151)).astype(np.float32)
@@ -56,7 +53,7 @@ class Sleeper:
                 np.full(HORIZON, driving[0].version),
                 observations,
                 observations[-1],
-                explorations[0].noise.astype(np.float32),
+                contexts[0].noise.astype(np.float32),
                 zero,
                 zero,
                 readings,
@@ -78,14 +75,17 @@ def collected(environments: int, unsynced: bool, updates: int, spread: float, le
     """Collect `updates` updates with a learner that sleeps `learner` seconds; return seconds an episode and latency."""
     total = updates * PERIOD
     seconds = schedule.durations(seed, total, SECONDS, spread)
-    plan = None if unsynced else schedule.synced(seconds, environments, PERIOD, learner)
+    grid = Layout(environments, environments, 1)
+    if unsynced:
+        order = AsTheyCome(grid, PERIOD, total)
+    else:
+        order = Planned(schedule.synced(seconds, environments, PERIOD, learner), grid)
     engine = Processes(environments)
     try:
         warm = [engine.submit(time.sleep, 1.0) for _ in range(environments)]
         for future in warm:
             future.result()
-        layout = Layout(environments, environments, 1)
-        collector = Collector(engine, Sleeper(seconds), seed, layout, PERIOD, total, plan)
+        collector = Collector(engine, Sleeper(seconds), seed, grid, order)
         # every worker takes the simulation once, as it does in a training before its first episode
         for future in [engine.submit(id, collector._shared) for _ in range(environments)]:
             future.result()
@@ -133,7 +133,7 @@ def table(cases: list[tuple[int, bool, int]], spread: float, learner: float, rep
             "latency_ms": statistics.median(run["latency_ms"] for run in runs),
         }
         row = json.dumps(found[unsynced][str(environments)])
-        print("unsynced" if unsynced else "synced", environments, row, file=sys.stderr, flush=True)
+        say(f"{'unsynced' if unsynced else 'synced'} {environments} {row}")
     return found
 
 
@@ -154,7 +154,3 @@ def measure(repeats: int = 3) -> dict:
             {environments: case["measured_over_predicted"] for environments, case in part.items()} for part in modelled
         ],
     }
-
-
-if __name__ == "__main__":
-    print(json.dumps(measure()))

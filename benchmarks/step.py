@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from manywake.env.task import ControlledFlow, Task
-from manywake.flow import baseline
-from manywake.flow.case import CASES
+from manywake.env.control import ControlledFlows
+from manywake.flow import store
+from manywake.suite import load
 
 ACTIONS = 4
 REPEATS = 7
@@ -21,27 +21,28 @@ REPEATS = 7
 
 def measure(lanes: Sequence[int]) -> dict[str, Any]:
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    case, task = CASES["cylinder-jets"], Task()
-    ops, base = baseline.assembled(case)
+    chosen = load.choose(load.DEFAULT)
+    flow = store.flow(chosen.case)
+    ops = flow.operators
     rng = np.random.default_rng(0)
-    flows = {width: ControlledFlow(ops, base, task, width) for width in lanes}
-    for flow in flows.values():  # compile, warm up
-        flow.act(np.zeros(flow.flow.flows))
+    batches = {width: ControlledFlows(flow, chosen.task, width) for width in lanes}
+    for width, flows in batches.items():  # compile, warm up
+        flows.act(np.zeros((width, 1)))
     samples: dict[int, list[float]] = {width: [] for width in lanes}
     for _ in range(REPEATS):  # the widths in turn, so that a drift of the machine meets all of them
-        for width, flow in flows.items():
+        for width, flows in batches.items():
             start = time.perf_counter()
             for _ in range(ACTIONS):
-                flow.act(rng.uniform(-1, 1, width))
-                flow.observe()
-            samples[width].append((time.perf_counter() - start) * 1e3 / (ACTIONS * flow.steps * width))
+                flows.act(rng.uniform(-1, 1, (width, 1)))
+                flows.observe()
+            samples[width].append((time.perf_counter() - start) * 1e3 / (ACTIONS * flows.steps * width))
     return {
-        "case": case.name,
-        "elements": len(base.mesh.triangles),
+        "case": chosen.definition.name,
+        "elements": len(ops.mesh.triangles),
         "dofs": 2 * len(ops.velocity_order) + len(ops.pressure_order),
         "velocity_dofs": 2 * len(ops.velocity_order),
         "pressure_dofs": len(ops.pressure_order),
-        "dt": case.time_step,
+        "dt": chosen.case.dt,
         "ms_per_flow_step": {str(width): statistics.median(values) for width, values in samples.items()},
         "spread_ms": {str(width): [min(values), max(values)] for width, values in samples.items()},
     }

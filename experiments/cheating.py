@@ -11,24 +11,22 @@ Expected: mean C_L near 0 but for the last, where it is of the order of 1 or 2 (
 2.92 and C_L 3.7).
 """
 
-from dataclasses import replace
+from typing import Any
 
-import learning_curves
 import matplotlib.pyplot as plt
 import numpy as np
-import policies_in_lanes
-import synced
-import trainings
-import vertex_maps
-from experiment import Setup, read, rounded, where, write
-from trainings import CASE, Training
 
-from manywake.learn.rollout import JetFlows
+from experiments import learning_curves, policies_in_lanes, synced, trainings, vertex_maps
+from experiments.experiment import Setup, read, rounded, where, write
+from experiments.trainings import CASE, Training
+from manywake.env.control import ControlledFlows
+from manywake.flow import store
+from manywake.learn import checkpoints
 from manywake.learn.runs import Run
 
+BY_PROTOCOL = True
 EPISODES = 240
-STRONG = replace(CASE, name="cylinder-jets-goda-half-step", time_step=2.5e-4)
-STRONG_RATE = 0.02
+STRONG_STEP, STRONG_RATE = 2.5e-4, 0.02
 PERIODS = 10
 LABELS = {
     "none": "no control",
@@ -38,9 +36,11 @@ LABELS = {
 
 
 def wanted(setup: Setup) -> dict[str, list[Training]]:
-    strong = CASE if setup.miniature else STRONG
-    chosen = trainings.settings(setup, 0, EPISODES, chosen=strong, reward="drag-offset", max_flow_rate=STRONG_RATE)
-    return {"penalty": synced.group(setup)["20"][:1], "no penalty": [Training("cheating", "no penalty", chosen)]}
+    strong: dict[str, Any] = {"reward": "drag-offset", "limit": STRONG_RATE}
+    if not setup.miniature:
+        strong["time_step"] = STRONG_STEP
+    biased = trainings.by_protocol(setup, "cheating", "no penalty", 0, EPISODES, **strong)
+    return {"penalty": synced.group(setup)["20"][:1], "no penalty": [biased]}
 
 
 def run(setup: Setup) -> None:
@@ -56,29 +56,28 @@ def run(setup: Setup) -> None:
         maps[name.replace(" ", "_")], row = _averaged(run, controlled, 0.1 if setup.miniature else PERIODS)
         numbers.append(rounded({"series": name, **row}, 5))
         setup.progress(f"cheating: {LABELS[name]}", 1.0)
-    write(setup.csv("cheating"), vertex_maps.rows(trainings.simulation(penalised).baseline.mesh, **maps))
+    write(setup.csv("cheating"), vertex_maps.rows(store.get(CASE).mesh, **maps))
     write(setup.csv("cheating-numbers"), numbers)
 
 
 def _averaged(run: Run, controlled: bool, periods: float) -> tuple[np.ndarray, dict[str, float]]:
     """Return the mean speed at the vertices after one episode's transient, and the means of the forces and the jet."""
-    simulation: JetFlows = trainings.simulation(run)
-    task, period = simulation.task, simulation.baseline.shedding.period
-    settle = simulation.horizon
-    actions = round(periods * period / task.action_interval)
+    simulation = trainings.opened(run)
+    flow, task, settle = simulation.flow, simulation.task, simulation.horizon
+    actions = round(periods * flow.baseline.shedding.period / task.interval)
     speeds: list[np.ndarray] = []
 
-    def look(flows) -> None:
-        speeds.append(np.linalg.norm(flows.flow.state(0).u[: len(simulation.baseline.mesh.points)], axis=1))
+    def look(flows: ControlledFlows) -> None:
+        speeds.append(np.linalg.norm(flows.batch.state(0).u[: len(flow.baseline.mesh.points)], axis=1))
 
-    policy = run.policy() if controlled else None
-    result = policies_in_lanes.play(simulation, [policy], settle + actions, look)
-    steps = slice(settle * task.steps(simulation.operators.case.time_step), None)
+    policy = checkpoints.policy(run) if controlled else None
+    series = policies_in_lanes.play(flow, task, [policy], settle + actions, look)
+    c_d, c_l, jet = (part[settle * task.steps(flow.case.dt) :, 0] for part in series.values())
     return np.mean(speeds[settle:], axis=0), {
-        "c_d": result.c_d[steps, 0].mean(),
-        "c_l": result.c_l[steps, 0].mean(),
-        "jet": result.jets[steps, 0].mean(),
-        "jet_max": abs(result.jets[steps, 0]).max(),
+        "c_d": c_d.mean(),
+        "c_l": c_l.mean(),
+        "jet": jet.mean(),
+        "jet_max": abs(jet).max(),
     }
 
 

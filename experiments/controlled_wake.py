@@ -13,24 +13,23 @@ Expected: 7.7 to 7.9 % less drag, 97 to 99 % of what shedding adds, no peak left
 from collections.abc import Callable
 from dataclasses import replace
 
-import learning_curves
 import matplotlib.pyplot as plt
 import numpy as np
-import policies_in_lanes
-import trainings
-from experiment import Setup, Table, read, rounded, spread, where, write
-from learning_curves import COLOURS
-from trainings import Training
 
+from experiments import learning_curves, policies_in_lanes, trainings
+from experiments.experiment import Setup, Table, read, rounded, spread, where, write
+from experiments.learning_curves import COLOURS
+from experiments.trainings import Training
 from manywake import plots
-from manywake.flow import case, mesh, operators, sensors, validate
-from manywake.flow import space as spaces
-from manywake.learn.evaluate import LONG_RUN, Trajectory
-from manywake.learn.rollout import JetFlows
-from manywake.learn.settings import PROTOCOLS
+from manywake.case.case import Case
+from manywake.env.control import ControlledFlows
+from manywake.flow import baseline, forced, mesh, problem, readings
+from manywake.flow.store import Flow
+from manywake.learn import checkpoints
+from manywake.learn.evaluate import LONG_RUN
+from manywake.suite import load
+from manywake.suite.cylinder_jets import LEARNING
 
-CASE = case.by_name("cylinder-jets")
-EPISODES = PROTOCOLS["default"][1].episodes
 THROUGH_HEIGHT = 0.14694
 """Flow rate of the inflow through the cylinder's frontal height."""
 SHOWN = 8.0
@@ -40,83 +39,80 @@ HIGHEST = 1.0
 
 
 def wanted(setup: Setup) -> dict[str, list[Training]]:
-    how = {"protocol": "default", "chosen": CASE}
-    return trainings.seeded(setup, "controlled-wake", EPISODES, {"default": how})
+    how = {"protocol": "default", "case": load.DEFAULT}
+    return trainings.seeded(setup, "controlled-wake", LEARNING.episodes, {"default": how})
 
 
 def run(setup: Setup) -> None:
     group = trainings.trained(setup, wanted(setup))["default"]
-    coarse = trainings.simulation(group[0])
-    flows = {"uncontrolled": None} | {f"seed {run.settings.seed}": run.policy() for run in group}
+    played = trainings.opened(group[0])
+    driving = {"uncontrolled": None} | {f"seed {run.settings.seed}": checkpoints.policy(run) for run in group}
     numbers, series, spectra = [], [], []
-    for grid, simulation in (("training", coarse), ("fine", coarse if setup.miniature else finer(coarse))):
-        actions, areas = LONG_RUN * coarse.horizon, []
+    for grid, flow in (("training", played.flow), ("fine", played.flow if setup.miniature else finer(played.flow))):
+        actions, areas = LONG_RUN * played.horizon, []
 
-        def look(flows, areas=areas, grid=grid, actions=actions) -> None:
-            u = [flows.flow.state(column).u for column in range(flows.flow.flows)]
-            areas.append([sensors.recirculation_area(flows.ops, one) for one in u])
+        def look(flows: ControlledFlows, areas=areas, grid=grid, actions=actions) -> None:
+            u = [flows.batch.state(column).u for column in range(flows.count)]
+            areas.append([readings.recirculation_area(flows.flow.operators.space, one) for one in u])
             setup.progress(f"controlled-wake: long runs, {grid} mesh", len(areas) / actions)
 
-        result = policies_in_lanes.play(simulation, list(flows.values()), actions, look)
-        area = np.array(areas)
-        for column, name in enumerate(flows):
-            numbers.append(rounded({"series": name, "mesh": grid, **_numbers(simulation, result, area, column)}, 5))
+        result = policies_in_lanes.play(flow, played.task, list(driving.values()), actions, look)
+        for column, name in enumerate(driving):
+            mine = {key: part[:, column] for key, part in (result | {"area": np.array(areas)}).items()}
+            numbers.append(rounded({"series": name, "mesh": grid, **_numbers(flow, mine)}, 5))
             if grid == "training":
-                series += _series(simulation, result, area, column, name)
-                spectra += _spectrum(simulation, result, column, name)
+                series += _series(flow.case.dt, mine, name)
+                spectra += _spectrum(flow.case, mine, name)
     write(setup.csv("controlled-wake"), series)
     write(setup.csv("controlled-wake-spectra"), spectra)
     write(setup.csv("controlled-wake-numbers"), numbers)
 
 
-def finer(coarse: JetFlows) -> JetFlows:
+def finer(coarse: Flow) -> Flow:
     """Return the flow on the refined mesh at half the time step, from the interpolated start state."""
     ops, base = coarse.operators, coarse.baseline
-    chosen = replace(ops.case, time_step=ops.case.time_step / 2)
-    fine = mesh.refine(base.mesh, chosen)
-    x = spaces.build(fine).x
-    # nodes on the circle are moved off it by a rounding, lest they lie in the body
-    x = x * (np.maximum(np.linalg.norm(x, axis=1), (1 + 1e-6) * chosen.radius) / np.linalg.norm(x, axis=1))[:, None]
-    mean = spaces.probe_matrix(ops.space.velocity, x) @ base.mean
-    fine_ops = operators.assemble(chosen, fine, mean)
-    start = validate.interpolate(ops, base.start, fine_ops)
-    return JetFlows(fine_ops, replace(base, mesh=fine, start=start, mean=mean), coarse.task)
+    case = replace(coarse.case, time_step=coarse.case.dt / 2)
+    posed = problem.pose(case, mesh.refine(base.mesh))
+    mean = forced.moved(ops.space, posed.space.x) @ base.mean
+    fine = baseline.assemble(case, posed, mean)
+    start = forced.interpolate(ops.space, base.start, fine)
+    return Flow(case, fine, replace(base, mesh=posed.space.mesh, start=start, mean=mean))
 
 
-def _numbers(simulation: JetFlows, result: Trajectory, area: np.ndarray, column: int) -> dict[str, float]:
-    c_d, c_l, jet = (part[len(part) // 2 :, column] for part in (result.c_d, result.c_l, result.jets))
+def _numbers(flow: Flow, mine: dict[str, np.ndarray]) -> dict[str, float]:
+    """Return the statistics of one flow's second half; mine: c_d, c_l and jet of every step, area of every action."""
+    c_d, c_l, jet, area = (mine[name][len(mine[name]) // 2 :] for name in ("c_d", "c_l", "jet", "area"))
     return {
         "c_d": c_d.mean(),
         "c_l": c_l.mean(),
         "c_l_rms": np.sqrt(np.mean(c_l**2)),
         "jet_over_inflow": abs(jet).mean() / THROUGH_HEIGHT,
-        "jet_rms": np.sqrt(np.mean(jet**2)) / simulation.task.max_flow_rate,
-        "area": area[len(area) // 2 :, column].mean(),
-        "c_d_steady": simulation.baseline.cd_steady,
+        "jet_rms": np.sqrt(np.mean(jet**2)) / flow.case.actuators[0].limit,
+        "area": area.mean(),
+        "c_d_steady": flow.baseline.steady["c_d"],
     }
 
 
-def _series(simulation: JetFlows, result: Trajectory, area: np.ndarray, column: int, name: str) -> list[dict]:
+def _series(dt: float, mine: dict[str, np.ndarray], name: str) -> list[dict]:
     """Return rows at the middle and the end of every action; the area is known at its end."""
-    dt = simulation.operators.case.time_step
-    half = simulation.task.steps(dt) // 2
-    picked = [k for k in range(half - 1, len(result.c_d), half) if (k + 1) * dt <= SHOWN + 1e-9]
+    half = len(mine["c_d"]) // len(mine["area"]) // 2
+    picked = [k for k in range(half - 1, len(mine["c_d"]), half) if (k + 1) * dt <= SHOWN + 1e-9]
     columns: dict[str, Callable[[int], float]] = {
         "time": lambda k: (k + 1) * dt,
-        "c_d": lambda k: result.c_d[k, column],
-        "c_l": lambda k: result.c_l[k, column],
-        "jet": lambda k: 1e3 * result.jets[k, column],
-        "area": lambda k: area[min((k + 1) // (2 * half), len(area)) - 1, column] if k >= half else np.nan,
+        "c_d": lambda k: mine["c_d"][k],
+        "c_l": lambda k: mine["c_l"][k],
+        "jet": lambda k: 1e3 * mine["jet"][k],
+        "area": lambda k: mine["area"][min((k + 1) // (2 * half), len(mine["area"])) - 1] if k >= half else np.nan,
     }
     return [{"series": name} | rounded({key: float(get(k)) for key, get in columns.items()}) for k in picked]
 
 
-def _spectrum(simulation: JetFlows, result: Trajectory, column: int, name: str) -> list[dict]:
+def _spectrum(case: Case, mine: dict[str, np.ndarray], name: str) -> list[dict]:
     """Return the amplitudes of C_L and the jet in the second half, Hann window, against the Strouhal number."""
-    half = len(result.c_l) // 2
+    half = len(mine["c_l"]) // 2
     window = np.hanning(half)
-    strouhal = np.fft.rfftfreq(half, simulation.operators.case.time_step) * simulation.operators.case.diameter
-    parts = [series[-half:, column] - series[-half:, column].mean() for series in (result.c_l, 1e3 * result.jets)]
+    strouhal = np.fft.rfftfreq(half, case.dt) * case.convective_time
+    parts = [series[-half:] - series[-half:].mean() for series in (mine["c_l"], 1e3 * mine["jet"])]
     c_l, jet = (2 * abs(np.fft.rfft(window * part)) / window.sum() for part in parts)
     kept = np.flatnonzero(strouhal <= HIGHEST)
     columns = {"strouhal": strouhal, "c_l": c_l, "jet": jet}

@@ -139,7 +139,7 @@ def _ours(setup: Setup) -> float:
 def harm(drag: dict[str, list[float]], reference: str = "synced 20") -> dict[str, dict[str, Any]]:
     """Compare the final drag of the seeds with that of the reference; positive differences are harm."""
     found = {}
-    for series in drag.keys() - {reference}:
+    for series in (name for name in drag if name != reference):
         (a, da), (b, db) = spread(drag[series]), spread(drag[reference])
         error = float(np.sqrt(da**2 / len(drag[series]) + db**2 / len(drag[reference])))
         test = scipy.stats.ttest_ind(drag[series], drag[reference], equal_var=False, alternative="greater")

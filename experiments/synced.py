@@ -45,7 +45,7 @@ def group(setup: Setup) -> dict[str, list[Training]]:
 def wanted(setup: Setup) -> dict[str, list[Training]]:
     """Return the trainings: those, and seed 0 anew with each of the other N, which takes longest."""
     ways = {n: Collection(envs=n) for n in others(setup)}
-    anew = [trainings.training(setup, "synced", str(n), 0, EPISODES, collection=how) for n, how in ways.items()]
+    anew = [trainings.by_protocol(setup, "synced", str(n), 0, EPISODES, collection=how) for n, how in ways.items()]
     return {"anew": anew} | group(setup)
 
 
@@ -54,7 +54,7 @@ def timed(setup: Setup, environments: int) -> Run:
     how = Collection() if environments == most(setup) else Collection(envs=environments, lanes=1)
     episodes = TIMED_UPDATES * RELEASED.update_period
     return trainings.timed(
-        setup, trainings.training(setup, "synced", f"timed {environments}", 0, episodes, collection=how)
+        setup, trainings.by_protocol(setup, "synced", f"timed {environments}", 0, episodes, collection=how)
     )
 
 

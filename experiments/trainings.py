@@ -6,20 +6,24 @@ from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
-from experiment import Setup
-
-from manywake.flow import baseline, case
-from manywake.flow.case import Case
-from manywake.learn import collect, runs, train
+from experiments.experiment import Setup
+from manywake import api
+from manywake.case import describe
+from manywake.flow import store
+from manywake.learn import blocks, collect, flows, runs, tables, train
 from manywake.learn.engine import Engine, Processes, Threads
-from manywake.learn.rollout import JetFlows
+from manywake.learn.flows import Flows
 from manywake.learn.runs import Run
-from manywake.learn.settings import PROTOCOLS, Collection, Settings
+from manywake.learn.settings import Collection, Settings
+from manywake.suite import load
+from manywake.suite.cylinder_jets import RELEASED
+from manywake.suite.load import Chosen
 
-CASE = case.by_name("cylinder-jets-goda")
+NAME = "cylinder-jets-goda"
 """The paper's scheme and time step."""
+CASE = load.load(NAME).case
 
 
 def seeds(setup: Setup) -> range:
@@ -27,60 +31,81 @@ def seeds(setup: Setup) -> range:
     return range(2 if setup.miniature else 3)
 
 
-def settings(
-    setup: Setup,
-    seed: int,
-    episodes: int,
-    protocol: str | None = None,
-    chosen: Case = CASE,
-    collection: Collection = Collection(),  # noqa: B008
-    ratio_to: Literal["behaviour", "current"] = "behaviour",
-    **changes: Any,
-) -> Settings:
-    """Return the settings of one training by protocol (that of the set-up), with changes of its task.
-
-    The protocol's 25 minibatches of an update are kept: a fifth of the batch each, whatever an episode's length.
-    """
-    protocol = protocol or setup.protocol
-    task, learning = PROTOCOLS[protocol]
-    task, learning = replace(task, **changes), replace(learning, episodes=episodes, ratio_to=ratio_to)
-    if setup.miniature:
-        brief = min(task.action_interval, 10 * chosen.time_step)
-        task = replace(task, actions_per_episode=2, action_interval=brief)
-        small = {"update_period": 4, "episodes": 4 * min(episodes // 20, 3), "n_epochs": 1, "hidden": (8, 8)}
-        learning = replace(learning, learner_threads=1, **small)
-    if protocol != "default":
-        batch = max(learning.update_period * task.actions_per_episode // 5, 2)
-        learning = replace(learning, batch_size=batch)
-    return Settings(chosen, task, learning, collection, seed)
+def period(setup: Setup) -> int:
+    """Return the episodes of an update by the paper's protocol."""
+    return 4 if setup.miniature else RELEASED.update_period
 
 
 @dataclass(frozen=True)
 class Training:
-    """A training by the folder it is kept in: runs/FIGURE/NAME-sSEED."""
+    """A training by the folder it is kept in, runs/FIGURE/NAME-sSEED, and the words that say what is trained on.
+
+    case, protocol, changes: as in `manywake.choose`.
+    """
 
     figure: str
     name: str
+    case: str
+    protocol: str
+    changes: tuple[tuple[str, Any], ...]
     settings: Settings
+
+    @property
+    def chosen(self) -> Chosen:
+        return load.choose(self.case, self.protocol, **dict(self.changes))
 
     def run(self, setup: Setup) -> Run:
         """Return its run; ValueError when its folder holds another training."""
         name = f"{self.name.replace(' ', '-')}-s{self.settings.seed}"
         run = Run(setup.runs / f"{self.figure}{setup.tail}" / name)
-        if (run.folder / "settings.json").exists() and run.settings != self.settings:
+        if (run.folder / "settings.json").exists() and not self._made(run):
             raise ValueError(
                 f"figure: {run.folder} was made with other settings; delete it, or begin anew with --fresh"
             )
         return run
 
+    def _made(self, run: Run) -> bool:
+        case, task = self.chosen.case, self.chosen.task
+        digest = describe.digest({"case": describe.case(case), "task": describe.task(case, task)})
+        return run.settings == self.settings and run.simulation["digest"] == digest
+
     def __str__(self) -> str:
         return f"{self.figure} {self.name}, seed {self.settings.seed}"
+
+
+def by_protocol(
+    setup: Setup,
+    figure: str,
+    name: str,
+    seed: int,
+    episodes: int,
+    case: str = NAME,
+    protocol: str | None = None,
+    collection: Collection = Collection(),  # noqa: B008
+    **changes: Any,
+) -> Training:
+    """Return one training by protocol (that of the set-up), with changes of its case, task and learner by name.
+
+    The protocol's 25 minibatches of an update are kept: a fifth of the batch each, whatever an episode's length.
+    """
+    protocol = protocol or setup.protocol
+    chosen = load.choose(case, protocol, **changes)
+    learning = replace(chosen.learning, episodes=episodes)
+    if setup.miniature:
+        changes |= {"actions": 2, "interval": min(chosen.task.interval, 10 * chosen.case.dt)}
+        small = {"update_period": 4, "episodes": 4 * min(episodes // 20, 3), "n_epochs": 1, "hidden": (8, 8)}
+        learning = replace(learning, learner_threads=1, **small)
+    if protocol != "default":
+        actions = changes.get("actions", chosen.task.actions)
+        learning = replace(learning, batch_size=max(learning.update_period * actions // 5, 2))
+    settings = Settings(learning, collection, seed)
+    return Training(figure, name, case, protocol, tuple(changes.items()), settings)
 
 
 def seeded(setup: Setup, figure: str, episodes: int, sets: dict[str, dict[str, Any]]) -> dict[str, list[Training]]:
     """Return series of trainings, one for each seed; a series is what its settings change."""
     return {
-        series: [Training(figure, series, settings(setup, seed, episodes, **changes)) for seed in seeds(setup)]
+        series: [by_protocol(setup, figure, series, seed, episodes, **changes) for seed in seeds(setup)]
         for series, changes in sets.items()
     }
 
@@ -101,7 +126,7 @@ def train_all(setup: Setup, wanted: Sequence[Training]) -> None:
     for training in dict.fromkeys(wanted):
         run = training.run(setup)
         if not _done(run):
-            baseline.get(training.settings.case, setup.progress)
+            store.get(training.chosen.case, setup.progress)
             waiting.append((training, run))
     if not waiting:
         return
@@ -113,11 +138,11 @@ def train_all(setup: Setup, wanted: Sequence[Training]) -> None:
         while waiting or flying:
             while waiting and len(flying) < engine.slots:
                 training, run = waiting.popleft()
-                flying[engine.submit(_train_on, run, training.settings, share)] = training, run
+                flying[engine.submit(_train_on, run, training, share)] = training, run
             done, _ = wait(flying, timeout=1.0, return_when=FIRST_COMPLETED)
             for training, run in flying.values():
                 learning = training.settings.learning
-                updates = len(runs.rows(run.folder / "updates.csv"))
+                updates = len(tables.read(run.folder / "updates.csv"))
                 setup.progress(str(training), min(updates * learning.update_period / learning.episodes, 1.0))
             for future in done:
                 del flying[future]
@@ -126,21 +151,18 @@ def train_all(setup: Setup, wanted: Sequence[Training]) -> None:
 
 def timed(setup: Setup, training: Training) -> Run:
     """Return a training's run made with nothing beside it and a process a worker, for the times in its tables."""
-    run, chosen = training.run(setup), training.settings
+    run, done = training.run(setup), 0
+
+    def show(episodes, shares, failures) -> None:
+        nonlocal done
+        done += len(episodes)
+        setup.progress(str(training), min(done / training.settings.learning.episodes, 1.0))
+
     if not _done(run):
-        baseline.get(chosen.case, setup.progress)
-        how, done = chosen.collection, 0
-        layout = collect.layout(how.envs, how.workers, how.lanes, chosen.learning.update_period)
-
-        def show(episodes, shares, failures) -> None:
-            nonlocal done
-            done += len(episodes)
-            setup.progress(str(training), min(done / chosen.learning.episodes, 1.0))
-
+        simulation = flows.open_flows(training.chosen, setup.progress)
         # one that was stopped has the stop in its times
         shutil.rmtree(run.folder, ignore_errors=True)
-        with closing(Processes(layout.workers)) as engine:
-            _train(run, chosen, engine, layout, show)
+        _end(run, api.train_into(run.folder, simulation, training.settings, show))
     return run
 
 
@@ -148,27 +170,25 @@ def _done(run: Run) -> bool:
     return (run.folder / "training.json").exists()
 
 
-def _train_on(run: Run, chosen: Settings, cores: int) -> None:
-    """Train in this process, with threads for more than one core."""
-    how = chosen.collection
-    layout = collect.layout(how.envs, how.workers, how.lanes, chosen.learning.update_period, cores)
-    with closing(Threads(layout.workers)) as engine:
-        _train(run, chosen, engine, layout)
-
-
-def _train(
-    run: Run, chosen: Settings, engine: Engine, layout: collect.Layout, show: train.Show = lambda *_: None
-) -> None:
-    """Train, or go on from where a training was stopped, and write down that it has come to its end."""
-    if (run.folder / "settings.json").exists():
-        result = train.resume(run.folder, engine, layout, show)
-    else:
-        result = train.train(run.folder, chosen, engine, layout, show)
+def _end(run: Run, result: train.Trained) -> None:
+    """Write down that a training has come to its end."""
     runs.write_json(run.folder / "training.json", asdict(result))
 
 
-def simulation(run: Run) -> JetFlows:
+def _train_on(run: Run, training: Training, cores: int) -> None:
+    """Train in this process, with threads for more than one core; or go on from where a training was stopped."""
+    if (run.folder / "settings.json").exists():
+        _end(run, api.resume(api.load_run(run.folder), engine="threads"))
+        return
+    settings = training.settings
+    how = settings.collection
+    grid = blocks.layout(how.envs, how.workers, how.lanes, settings.learning.update_period, cores)
+    with closing(Threads(grid.workers)) as engine:
+        _end(run, train.train(run.folder, flows.open_flows(training.chosen), settings, engine, grid))
+
+
+def opened(run: Run) -> Flows:
     """Return what a run played."""
-    played = run.simulation()
-    assert isinstance(played, JetFlows)
+    played = api.load_run(run.folder).simulation
+    assert isinstance(played, Flows)
     return played

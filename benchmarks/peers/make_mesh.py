@@ -8,43 +8,53 @@ the gmsh 3 of 2019. The start state is a developed Karman street, stepped by man
 
 import math
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import gmsh
 import numpy as np
 import shared
 
-from manywake.flow import baseline, operators, sensors
+from manywake.case import Case
+from manywake.flow import baseline, problem, statistics, store
 from manywake.flow.batch import FlowBatch, Start
-from manywake.flow.case import CASES, Case
 from manywake.flow.mesh import Mesh
+from manywake.suite import cylinder_jets, cylinder_jets_goda
 
 OUT = Path(__file__).with_name("peers.npz")
 SCALE = 0.96
 JET_FACETS = 4
+NAMES = {
+    "wall": ("bottom", "top"),
+    "outlet": ("right",),
+    "inlet": ("left",),
+    "jet0": ("cylinder.top",),
+    "cylinder": ("cylinder",),
+    "jet1": ("cylinder.bottom",),
+}
+"""What the peers call the boundaries."""
 TIME = 8.0
 """From the interpolated start state of `make train` to the street of this mesh and scheme."""
 
 
 def mesh(case: Case, scale: float = SCALE) -> Mesh:
-    """Mesh the channel in two pieces that meet half a unit behind the cylinder."""
+    """Mesh the channel in two pieces that meet half a unit behind the cylinder; all facets are straight."""
     gmsh.initialize(interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.option.setNumber("General.NumThreads", 1)
     gmsh.option.setNumber("Mesh.MeshSizeFactor", scale)
-    geo, r = gmsh.model.geo, case.radius
-    (x0, x1), (y0, y1) = case.x_range, case.y_range
+    (cylinder,) = case.bodies
+    geo, r = gmsh.model.geo, cylinder.radius
+    (x0, x1), (y0, y1) = case.domain.x, case.domain.y
     cut = r + 0.5
     at = [(x0, y0), (cut, y0), (x1, y0), (x1, y1), (cut, y1), (x0, y1)]
     corner = [geo.addPoint(x, y, 0, 0.0125 if x == x0 else 0.025) for x, y in at]
     side = [geo.addLine(corner[k], corner[(k + 1) % 6]) for k in range(6)]
     across = geo.addLine(corner[1], corner[4])
-    groups = {"wall": [side[0], side[1], side[3], side[4]], "outlet": [side[2]], "inlet": [side[5]]}
+    groups = {"bottom": [side[0], side[1]], "top": [side[3], side[4]], "right": [side[2]], "left": [side[5]]}
 
     # arcs: each jet, and two between jets on either side
     centre = geo.addPoint(0, 0, 0)
-    jets = [(jet.angle - jet.width / 2, jet.angle + jet.width / 2, f"jet{k}") for k, jet in enumerate(case.jets)]
+    jets = [(begin, end, f"cylinder.{part}") for part, (begin, end) in cylinder.parts.items()]
     starts: list[tuple[float, str]] = []
     for (begin, end, name), (after, _, _) in zip(jets, [*jets[1:], (jets[0][0] + 360, 0, "")], strict=True):
         starts += [(begin, name), (end, "cylinder"), ((end + after) / 2, "cylinder")]
@@ -81,27 +91,29 @@ def mesh(case: Case, scale: float = SCALE) -> Mesh:
 
 def start(case: Case, of: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """Return velocity u (n, 2) in the order of shared.nodes and pressure p (m,) of the developed street."""
-    coarse, base = baseline.assembled(CASES["cylinder-jets"])
-    ops = operators.assemble(replace(case, scheme=CASES["cylinder-jets-goda"].scheme, time_step=5e-4), of)
+    coarse = store.flow(cylinder_jets.CASE)
+    space, base = coarse.operators.space, coarse.baseline
+    ops = baseline.assemble(case, problem.pose(case, of), None)
 
     def inside(x: np.ndarray) -> np.ndarray:
         distance = np.linalg.norm(x, axis=1)
-        return (x * (np.maximum(distance, 1.01 * case.radius) / distance)[:, None]).T
+        return (x * (np.maximum(distance, 1.01 * case.bodies[0].radius) / distance)[:, None]).T
 
-    u = coarse.space.velocity.probes(inside(ops.space.x)) @ base.start.u
-    p = coarse.space.pressure.probes(inside(of.points)) @ base.start.p
+    u = space.velocity.probes(inside(ops.space.x)) @ base.start.u
+    p = space.pressure.probes(inside(of.points)) @ base.start.p
     u[ops.velocity_order[ops.free :]] = ops.tables.fixed
     flow = FlowBatch(ops, Start(u, u, p, 0 * p, 0 * p), 1)
-    steps = round(TIME / ops.case.time_step)
-    record = np.concatenate([flow.advance(np.zeros((1000, 2, 1)))[:, :, 0] for _ in range(steps // 1000)])
-    print(sensors.shedding(*record[-steps // 2 :].T, ops.case.time_step), file=sys.stderr)
+    steps = round(TIME / case.dt)
+    record = [baseline.free_run(flow, 1000) for _ in range(steps // 1000)]
+    c_d, c_l = (np.concatenate([part[name] for part in record])[-steps // 2 :] for name in ("c_d", "c_l"))
+    print(statistics.shedding(c_d, c_l, case.dt), file=sys.stderr)
     state = flow.state(0)
     place = shared.match(ops.space.x, shared.nodes(of.points, of.triangles))
     return state.u[place], state.p
 
 
 def main() -> None:
-    case = CASES["cylinder-jets"]
+    case = cylinder_jets_goda.CASE
     made = mesh(case)
     centre = made.points[made.triangles].mean(axis=1)
     print(
@@ -115,8 +127,11 @@ def main() -> None:
         OUT,
         points=made.points,
         triangles=made.triangles.astype(np.int32),
-        **{f"boundary_{name}": facets.astype(np.int32) for name, facets in made.boundaries.items()},
-        probes=np.array(case.probes),
+        **{
+            f"boundary_{name}": np.concatenate([made.boundaries[own] for own in ours]).astype(np.int32)
+            for name, ours in NAMES.items()
+        },
+        probes=np.array(cylinder_jets.PROBES),
         start_u=u.astype(np.float32),
         start_p=p.astype(np.float32),
     )

@@ -11,42 +11,43 @@ import shared  # first: it keeps the libraries to one thread
 # isort: split
 import numpy as np
 
-from manywake.env.task import ControlledFlow, Task
-from manywake.flow import baseline
-from manywake.flow.case import CASES
+from manywake.env.control import ControlledFlows
+from manywake.flow import store
+from manywake.suite import load
 
 
 def main(widths: list[int], blocks: int = 8) -> None:
-    case, task = CASES["cylinder-jets"], Task()
-    ops, base = baseline.assembled(case)
+    chosen = load.choose(load.DEFAULT)
+    case, flow = chosen.case, store.flow(chosen.case)
+    ops, shedding = flow.operators, flow.baseline.shedding
     rng = np.random.default_rng(0)
-    flows = {width: ControlledFlow(ops, base, task, width) for width in widths}
+    batches = {width: ControlledFlows(flow, chosen.task, width) for width in widths}
     clocks = {width: shared.Clock() for width in widths}
-    for flow in flows.values():  # compile, warm up
-        flow.act(np.zeros(flow.flow.flows))
-        flow.observe()
+    for width, flows in batches.items():  # compile, warm up
+        flows.act(np.zeros((width, 1)))
+        flows.observe()
     for _ in range(blocks):
-        for width, flow in flows.items():
+        for width, flows in batches.items():
 
-            def work(flow=flow, width=width):
-                flow.act(rng.uniform(-1, 1, width))
-                flow.observe()
+            def work(flows=flows, width=width):
+                flows.act(rng.uniform(-1, 1, (width, 1)))
+                flows.observe()
 
-            clocks[width].run(work, flow.steps * width)
+            clocks[width].run(work, flows.steps * width)
     shared.finish(
         {
-            "case": case.name,
-            "triangles": len(base.mesh.triangles),
+            "case": chosen.definition.name,
+            "triangles": len(ops.mesh.triangles),
             "velocity_dofs": 2 * len(ops.velocity_order),
             "pressure_dofs": len(ops.pressure_order),
-            "time_step": case.time_step,
+            "time_step": case.dt,
             "scheme": case.scheme.name,
             "widths": {width: {"wall_ms": clock.wall, "cpu_ms": clock.cpu} for width, clock in clocks.items()},
             "statistics": {
-                "cd_mean": base.shedding.cd_mean,
-                "cl_max": base.shedding.cl_max,
-                "strouhal": base.shedding.strouhal(case.diameter),
-                "periods": base.shedding.periods,
+                "cd_mean": shedding.cd_mean,
+                "cl_max": shedding.cl_max,
+                "strouhal": shedding.strouhal(case.convective_time),
+                "periods": shedding.periods,
             },
         }
     )

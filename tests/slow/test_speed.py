@@ -2,27 +2,15 @@
 
 import statistics
 import sys
-from pathlib import Path
 
-import pytest
-
-FOLDER = Path(__file__).parents[2] / "benchmarks"
-
-
-@pytest.fixture(autouse=True)
-def benchmarks(monkeypatch):
-    monkeypatch.syspath_prepend(str(FOLDER))
+from benchmarks import peers, roofline
 
 
 def test_a_step_takes_no_more_than_four_times_what_its_arithmetic_and_traffic_must():
-    import roofline
-
     assert roofline.measure()["share_of_roof"] > 0.25  # measured: 0.40 to 0.48
 
 
 def test_a_flow_is_two_orders_cheaper_than_a_careful_users_and_lanes_give_a_part_of_that():
-    import peers
-
     theirs = peers.contest([sys.executable, "scikit.py", "--steps", "40"])
     ours = peers.contest([sys.executable, "ours.py", "1", "8"])
     one, eight = (statistics.median(ours["widths"][w]["cpu_ms"]) / ours["time_step"] for w in ("1", "8"))

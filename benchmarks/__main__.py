@@ -1,0 +1,53 @@
+"""python -m benchmarks NAME, or manywake bench NAME."""
+
+import signal
+import sys
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import tyro
+
+from benchmarks import cost, peers, roofline, scaling, step
+from manywake.cli import show
+from manywake.cli.show import Json, console, say
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Measure, and print what was measured.
+
+    step: milliseconds per flow and time step, forces, probes and control law included. roofline: each kernel beside
+    what this core's arithmetic and memory allow. cost: time and memory of a flow against the number of triangles.
+    scaling: speed-up of collection with the number of environments (half an hour, mostly asleep). peers: the paper's
+    scheme in FEniCS, as written and tuned, and in scikit-fem, beside ours (what is installed; ten minutes).
+    """
+
+    what: Annotated[Literal["step", "roofline", "cost", "scaling", "peers"], tyro.conf.Positional]
+    lanes: tuple[int, ...] = (1, 8, 16, 32)
+    """Batch widths that step measures."""
+    json: Json = False
+
+    def run(self) -> int:
+        """Print the numbers."""
+        others = {"roofline": roofline, "cost": cost, "scaling": scaling, "peers": peers}
+        found = step.measure(self.lanes) if self.what == "step" else others[self.what].measure()
+        show.numbers(found, self.json)
+        return 0
+
+
+def main() -> None:
+    """Run the command."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C
+    try:
+        sys.exit(tyro.cli(Bench, prog="manywake bench").run())
+    except KeyboardInterrupt:
+        say("stopped")
+        sys.exit(130)
+    except (ValueError, RuntimeError, OSError) as error:
+        console.print("[red]error:[/] ", end="")
+        say(str(error))
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""The paper's figures, rerun: python -m experiments NAME, or manywake figure NAME. One module a figure."""
