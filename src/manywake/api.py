@@ -145,7 +145,7 @@ def load_run(
     if about["kind"] == external.KIND:
         simulation = external.reopen(run.folder, about, env)
         return OpenRun(run, simulation)
-    if case is None and not about["shipped"]:
+    if case is None and not (about["shipped"] and about["name"] in load.names()):
         raise ValueError(
             f"case: {run.folder} was made with its user's own ({about['file'] or 'made in Python'}), which is not run "
             "because a folder names it; give it again: --case FILE, or case=..., task=... in Python"
