@@ -19,13 +19,5 @@ _env.register()
 
 __all__ = [
     *_case.__all__,
-    "Collection",
-    "FlowEnv",
-    "FlowVectorEnv",
-    "OpenRun",
-    "choose",
-    "evaluate",
-    "load_run",
-    "resume",
-    "train",
-]
+    "Collection", "FlowEnv", "FlowVectorEnv", "OpenRun", "choose", "evaluate", "load_run", "resume", "train",
+]  # fmt: skip

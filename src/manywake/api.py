@@ -9,9 +9,9 @@ torch is loaded by the first call that needs it.
 from __future__ import annotations
 
 import os
+import re
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,7 +41,6 @@ class OpenRun:
 
     @property
     def folder(self) -> Path:
-        """The run's folder."""
         return self.run.folder
 
 
@@ -81,8 +80,7 @@ def train(
 
 def folder_for(name: str, seed: int) -> Path:
     """Return the folder of a run that was given none."""
-    plain = name.replace(":", "-").replace("/", "-")
-    return Path("runs") / f"{plain}-s{seed}-{time.strftime('%Y%m%d-%H%M%S')}"
+    return Path("runs") / f"{re.sub('[:/]', '-', name)}-s{seed}-{time.strftime('%Y%m%d-%H%M%S')}"
 
 
 def train_into(folder: Path, simulation: Simulation, settings: Settings, show: Show | None = None) -> Trained:
@@ -103,10 +101,9 @@ def resume(opened: OpenRun, show: Show | None = None, **where: Any) -> Trained:
     """
     how, begun = opened.run.settings.collection, opened.run.layout
     moved = "workers" in where or "lanes" in where
-    spread: dict[str, Any] = {} if moved else {"workers": begun.workers, "lanes": begun.lanes}
+    workers, lanes = (None, None) if moved else (begun.workers, begun.lanes)
     address = how.address if where.get("engine", how.engine) == "ray" else None
-    none = {"workers": None, "lanes": None, "address": address}
-    how = replace(how, **{**none, "envs": begun.environments, **spread, **where})
+    how = replace(how, envs=begun.environments, **{"workers": workers, "lanes": lanes, "address": address, **where})
     grid = layout(how, opened.run.settings.learning.update_period)
     with engine(how, grid) as chosen:
         from manywake.learn import train
@@ -119,11 +116,8 @@ def evaluate(run: OpenRun | str | Path, checkpoint: str = "last", workers: int =
     from manywake.learn import checkpoints
 
     opened = run if isinstance(run, OpenRun) else load_run(run)
-    where = Threads(workers)
-    try:
+    with closing(Threads(workers)) as where:
         return opened.simulation.evaluate(checkpoints.policy(opened.run, checkpoint), where)
-    finally:
-        where.close()
 
 
 def load_run(
@@ -141,17 +135,15 @@ def load_run(
     """
     run = Run(Path(folder))
     about = run.simulation
-    simulation: Simulation
     if about["kind"] == external.KIND:
-        simulation = external.reopen(run.folder, about, env)
-        return OpenRun(run, simulation)
+        return OpenRun(run, external.reopen(run.folder, about, env))
     if case is None and not (about["shipped"] and about["name"] in load.names()):
         raise ValueError(
             f"case: {run.folder} was made with its user's own ({about['file'] or 'made in Python'}), which is not run "
             "because a folder names it; give it again: --case FILE, or case=..., task=... in Python"
         )
-    named = about["protocol"] if task is None else task
-    chosen = load.choose(case if case is not None else about["name"], named, **{**about["overrides"], **overrides})
+    case, task = about["name"] if case is None else case, about["protocol"] if task is None else task
+    chosen = load.choose(case, task, **{**about["overrides"], **overrides})
     return OpenRun(run, flows.reopen(run.folder, about, chosen))
 
 
@@ -160,19 +152,12 @@ def layout(how: Collection, period: int) -> blocks.Layout:
     return blocks.layout(how.envs, how.workers, how.lanes, period, usable_cores())
 
 
-@contextmanager
-def engine(how: Collection, grid: blocks.Layout) -> Iterator[Engine]:
-    """Give the engine that the settings ask for, and close it."""
-    made: Engine
+def engine(how: Collection, grid: blocks.Layout) -> closing[Engine]:
+    """Return the engine that the settings ask for, for a with statement that closes it."""
     if how.engine == "ray":
         from manywake.learn.ray_engine import Ray
 
-        made = Ray(grid.workers, how.address, how.cpus_per_env)
-    elif how.engine == "processes":
-        made = Processes(grid.workers)
-    else:
-        made = Threads(1 if how.engine == "serial" else grid.workers)
-    try:
-        yield made
-    finally:
-        made.close()
+        return closing(Ray(grid.workers, how.address, how.cpus_per_env))
+    if how.engine == "processes":
+        return closing(Processes(grid.workers))
+    return closing(Threads(1 if how.engine == "serial" else grid.workers))

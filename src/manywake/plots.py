@@ -21,7 +21,7 @@ from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.space import Space
 from manywake.flow.store import Flow
 
-UNCONTROLLED, CONTROLLED, REFERENCE = "#c44e52", "#2f6c9f", "#555555"
+UNCONTROLLED, CONTROLLED, REFERENCE, AMPLITUDE = "#c44e52", "#2f6c9f", "#555555", "#7a9a4b"
 
 plt.rcParams.update(
     {"figure.dpi": 110, "font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
@@ -32,16 +32,14 @@ def learning_curve(episodes: dict[str, np.ndarray], base: Baseline, path: Path) 
     """Draw C_D and C_L of the exploring episodes against episodes and wall time; `episodes` as in episodes.csv."""
     figure, axes = plt.subplots(2, 2, figsize=(10, 5.6), sharey="row")
     batch = [episodes["update"] == update for update in np.unique(episodes["update"])]
-    for column, (x, label) in enumerate(
-        ((episodes["episode"] + 1, "episodes"), (episodes["wall_s"] / 60, "wall time [min]"))
-    ):
+    along = (episodes["episode"] + 1, "episodes"), (episodes["wall_s"] / 60, "wall time [min]")
+    for column, (x, label) in enumerate(along):
         for row, (name, title) in enumerate((("c_d_second_half", "$C_D$"), ("c_l_second_half", "$C_L$"))):
             axis = axes[row, column]
             axis.plot(x, episodes[name], ".", color=CONTROLLED, alpha=0.25, markersize=4, label="an episode")
             means = [np.nanmean(episodes[name][rows]) for rows in batch]
             axis.plot([x[rows].max() for rows in batch], means, color=CONTROLLED, lw=2, label="mean of an update")
-            axis.set_ylabel(f"{title}, 2nd half of episode")
-            axis.set_xlabel(label)
+            axis.set(xlabel=label, ylabel=f"{title}, 2nd half of episode")
             axis.grid(alpha=0.25)
         axes[0, column].axhline(base.free["c_d"], color=UNCONTROLLED, lw=1, label="uncontrolled mean")
         axes[0, column].axhline(base.steady["c_d"], color=REFERENCE, lw=1, ls="--", label="steady base flow")
@@ -62,32 +60,15 @@ def vorticity(space: Space, u: np.ndarray) -> np.ndarray:
 
 
 def _draw_vorticity(axis, case: Case, space: Space, u: np.ndarray):
-    points = space.mesh.points
+    points, values = space.mesh.points, vorticity(space, u) * case.convective_time
     mesh = Triangulation(points[:, 0], points[:, 1], space.mesh.triangles)
-    picture = axis.tripcolor(
-        mesh,
-        vorticity(space, u) * case.convective_time,
-        shading="gouraud",
-        cmap="RdBu_r",
-        vmin=-3,
-        vmax=3,
-        rasterized=True,
-    )
+    picture = axis.tripcolor(mesh, values, shading="gouraud", cmap="RdBu_r", vmin=-3, vmax=3, rasterized=True)
     for body in case.bodies:
         axis.add_patch(plt.Polygon(outline(body), color="#888888", lw=0))
-    axis.set_aspect("equal")
     (left, low), (right, high) = points.min(axis=0), points.max(axis=0)
     back = max((outline(body)[:, 0].max() for body in case.bodies), default=left)
-    axis.set_xlim(left, min(right, back + 15.5 * case.scales.length))
-    axis.set_ylim(low, high)
-    axis.set_xlabel("x")
+    axis.set(xlim=(left, min(right, back + 15.5 * case.scales.length)), ylim=(low, high), xlabel="x", aspect="equal")
     return picture
-
-
-def _one_period(flow: Flow) -> dict[str, np.ndarray]:
-    """Return the readings (steps,) of the uncontrolled flow over one period from the start state."""
-    steps = int(np.ceil(flow.baseline.shedding.period / flow.case.dt)) + 1
-    return baseline.free_run(FlowBatch(flow.operators, flow.baseline.start, 1), steps)
 
 
 def wake(flow: Flow, end: Start, series: dict[str, np.ndarray], amplitudes: np.ndarray, path: Path) -> None:
@@ -96,44 +77,36 @@ def wake(flow: Flow, end: Start, series: dict[str, np.ndarray], amplitudes: np.n
     end: the controlled flow at the end of the run. series: its readings (steps,). amplitudes: (steps, inputs).
     """
     case, base, space = flow.case, flow.baseline, flow.operators.space
-    steps, period = np.arange(len(amplitudes)) + 1, _one_period(flow)
-    time = steps * case.dt / case.convective_time
-    phase = np.mod(steps * case.dt, base.shedding.period) / case.dt - 1
-    free = {name: np.interp(phase, np.arange(len(period[name])), period[name]) for name in ("c_d", "c_l")}
+    count = int(np.ceil(base.shedding.period / case.dt)) + 1
+    period = baseline.free_run(FlowBatch(flow.operators, base.start, 1), count)
+    time = (np.arange(len(amplitudes)) + 1) * case.dt
+    phase = np.mod(time, base.shedding.period) / case.dt - 1
+    free = {name: np.interp(phase, np.arange(count), period[name]) for name in ("c_d", "c_l")}
+    time = time / case.convective_time
     figure = plt.figure(figsize=(11, 6.6))
     grid = figure.add_gridspec(3, 2, height_ratios=(1.05, 1, 1), hspace=0.55, wspace=0.18)
-    pictures: list[tuple[str, Start]] = [("uncontrolled", base.start), ("controlled", end)]
-    for column, (name, state) in enumerate(pictures):
-        axis = figure.add_subplot(grid[0, column])
-        picture = _draw_vorticity(axis, case, space, state.u)
-        axis.set_title(name, loc="left", color=(UNCONTROLLED, CONTROLLED)[column])
-        if column == 0:
-            axis.set_ylabel("y")
+    pictures = ("uncontrolled", UNCONTROLLED, base.start.u), ("controlled", CONTROLLED, end.u)
+    for column, (name, color, u) in enumerate(pictures):
+        axis = figure.add_subplot(grid[0, column], ylabel="" if column else "y")
+        picture = _draw_vorticity(axis, case, space, u)
+        axis.set_title(name, loc="left", color=color)
     figure.colorbar(picture, ax=figure.axes, shrink=0.75, pad=0.015, label="vorticity [U/L]", extend="both")
     drag, lift = figure.add_subplot(grid[1, :]), figure.add_subplot(grid[2, :])
     for axis, name, label in ((drag, "c_d", "$C_D$"), (lift, "c_l", "$C_L$")):
         axis.plot(time, free[name], color=UNCONTROLLED, lw=0.8, alpha=0.7, label="uncontrolled")
         axis.plot(time, series[name], color=CONTROLLED, lw=1.2, label="controlled")
-        axis.set_ylabel(label)
+        axis.set(xlim=(0, time[-1]), ylabel=label)
         axis.grid(alpha=0.25)
-        axis.set_xlim(0, time[-1])
     steady = base.steady["c_d"]
     drag.axhline(steady, color=REFERENCE, lw=1, ls="--", label="steady base flow")
     low = min(steady, np.nanmin(series["c_d"]))
-    drag.set_ylim(low - 0.03, max(free["c_d"].max(), np.nanmax(series["c_d"])) + 0.12)
+    drag.set(ylim=(low - 0.03, max(free["c_d"].max(), np.nanmax(series["c_d"])) + 0.12), xticklabels=[])
     drag.legend(ncols=3, loc="upper right", fontsize=9)
-    drag.set_xticklabels([])
     lift.set_xlabel("time [L/U]")
-    _amplitude(lift, time, flow, amplitudes)
+    first, right = case.actuators[0], lift.twinx()
+    right.plot(time, amplitudes[:, 0] / first.limit, color=AMPLITUDE, lw=0.8)
+    right.set_ylim(-1.05, 1.05)
+    right.set_ylabel(f"{first.on} / limit", color=AMPLITUDE)
+    right.spines["right"].set_visible(True)
     figure.savefig(path, bbox_inches="tight")
     plt.close(figure)
-
-
-def _amplitude(axis, time: np.ndarray, flow: Flow, amplitudes: np.ndarray) -> None:
-    """Draw the first input's amplitude in units of its limit, on an axis of its own at the right."""
-    first = flow.case.actuators[0]
-    right = axis.twinx()
-    right.plot(time, amplitudes[:, 0] / first.limit, color="#7a9a4b", lw=0.8)
-    right.set_ylim(-1.05, 1.05)
-    right.set_ylabel(f"{first.on} / limit", color="#7a9a4b")
-    right.spines["right"].set_visible(True)

@@ -52,7 +52,7 @@ class Case:
     reynolds: float
     """Re = U L / nu, with the case's scales."""
     domain: Domain
-    conditions: tuple[Condition | Outflow, ...]
+    conditions: tuple[Condition, ...]
     bodies: tuple[Body, ...] = ()
     actuators: tuple[Input, ...] = ()
     sensors: tuple[Sensor, ...] = ()
@@ -81,7 +81,6 @@ class Case:
 
     @property
     def dt(self) -> float:
-        """The time step, in the case's unit of time."""
         return self.scheme.time_step * self.convective_time if self.time_step is None else self.time_step
 
     @property

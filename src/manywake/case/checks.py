@@ -11,7 +11,6 @@ from manywake.case.geometry import distance, inside, outline
 
 CLEAR = 1.002
 """Points keep this factor away from a body, in its own radii: its facets are parabolas, a little off the curve."""
-
 FASTEST = 10.0
 """Largest velocity of an input, in the case's units; the time steps that a scheme allows are not stable far above."""
 
@@ -22,25 +21,15 @@ def check(case: Any) -> None:
     _check_names(case)
     _check_bodies(case)
     _check_conditions(case)
-    _check_flux(case)
     _check_inputs(case)
     _check_sensors(case)
 
 
 def _check_numbers(case: Any) -> None:
-    for name, value in (
-        ("reynolds", case.reynolds),
-        ("spin_up", case.spin_up),
-        ("scales.length", case.scales.length),
-        ("scales.velocity", case.scales.velocity),
-        ("sizes.body", case.sizes.body),
-        ("sizes.layer_height", case.sizes.layer_height),
-        ("sizes.layer_growth", case.sizes.layer_growth),
-        ("sizes.wake", case.sizes.wake),
-        ("sizes.far", case.sizes.far),
-        ("sizes.layers", case.sizes.layers),
-        ("sizes.part_facets", case.sizes.part_facets),
-    ):
+    numbers = {"reynolds": case.reynolds, "spin_up": case.spin_up}
+    numbers |= {f"scales.{name}": value for name, value in vars(case.scales).items()}
+    numbers |= {f"sizes.{name}": value for name, value in vars(case.sizes).items() if name != "wake_axis"}
+    for name, value in numbers.items():
         if not (0 < value < math.inf):
             raise ValueError(f"{name}: got {value:g}, wanted a positive number")
     if case.reynolds > 400:
@@ -58,7 +47,8 @@ def _check_numbers(case: Any) -> None:
 def _check_names(case: Any) -> None:
     sides = {side.name for side in case.domain.sides()}
     names = [*sorted(sides), *(body.name for body in case.bodies)]
-    for kind, given in (("body", names), ("sensor", [sensor.name for sensor in case.sensors])):
+    sensors = [sensor.name for sensor in case.sensors]
+    for kind, given in (("body", names), ("sensor", sensors)):
         for name, count in Counter(given).items():
             if count > 1:
                 raise ValueError(f"{kind} {name!r}: got the name {count} times, wanted a name of its own for each")
@@ -66,20 +56,19 @@ def _check_names(case: Any) -> None:
         if not name or "." in name and name not in sides:
             raise ValueError(f"body {name!r}: wanted a name without a dot, which parts a body from its piece")
     pieces = [piece.name for body in case.bodies for piece in body.pieces()]
-    for name in (*names, *pieces, *(sensor.name for sensor in case.sensors)):
+    for name in (*names, *pieces, *sensors):
         if not all(word.isidentifier() and "__" not in word for word in name.split(".")):
             raise ValueError(f"name: got {name!r}, wanted letters, digits and single _, as options are named after it")
 
 
 def _check_bodies(case: Any) -> None:
-    height = case.scales.length * case.sizes.layer_height
-    height *= sum(case.sizes.layer_growth**k for k in range(int(case.sizes.layers)))
-    domain = np.array([side.start for side in case.domain.sides()])
+    sizes, domain = case.sizes, np.array([side.start for side in case.domain.sides()])
+    height = case.scales.length * sizes.layer_height * sum(sizes.layer_growth**k for k in range(int(sizes.layers)))
     if _area(domain) <= 0:
         raise ValueError("domain: runs clockwise, wanted its corners counter-clockwise, the fluid on the left")
-    outlines = {body.name: outline(body) for body in case.bodies}
+    outlines: dict[str, np.ndarray] = {}
     for body in case.bodies:
-        xy = outlines[body.name]
+        xy = outline(body)
         if not np.isfinite(xy).all():
             raise ValueError(f"body {body.name!r}: got points that are not finite")
         if _area(xy) <= 0:
@@ -89,13 +78,12 @@ def _check_bodies(case: Any) -> None:
                 f"body {body.name!r}: reaches the domain's boundary or lies outside, wanted it inside with room for "
                 f"its layers, which are {height:g} high"
             )
-    for k, body in enumerate(case.bodies):
-        for other in case.bodies[:k]:
-            a, b = outlines[other.name], outlines[body.name]
-            if inside(a, b).any() or inside(b, a).any() or distance(a, b).min() < 2 * height:
+        for name, other in outlines.items():
+            if inside(other, xy).any() or inside(xy, other).any() or distance(other, xy).min() < 2 * height:
                 raise ValueError(
-                    f"body {body.name!r}: overlaps {other.name!r} or its layers, wanted {2 * height:g} between them"
+                    f"body {body.name!r}: overlaps {name!r} or its layers, wanted {2 * height:g} between them"
                 )
+        outlines[body.name] = xy
 
 
 def _area(corners: np.ndarray) -> float:
@@ -106,24 +94,20 @@ def _area(corners: np.ndarray) -> float:
 
 def _check_conditions(case: Any) -> None:
     sides = list(dict.fromkeys(side.name for side in case.domain.sides()))
-    bodies = [body.name for body in case.bodies]
-    given: Counter[str] = Counter(name for condition in case.conditions for name in condition.on)
+    names = [*sides, *(body.name for body in case.bodies)]
+    given = Counter(name for condition in case.conditions for name in condition.on)
     for name in given:
-        if name not in (*sides, *bodies):
-            raise ValueError(f"conditions: got {name!r}, wanted one of {', '.join((*sides, *bodies))}")
-    for name in (*sides, *bodies):
+        if name not in names:
+            raise ValueError(f"conditions: got {name!r}, wanted one of {', '.join(names)}")
+    for name in names:
         if given[name] > 1:
             raise ValueError(f"conditions: {name!r} has {given[name]}, wanted exactly one")
         if name in sides and not given[name]:
             raise ValueError(f"conditions: {name!r} has none, wanted one, as NoSlip({name!r}) or Outflow({name!r})")
     for condition in case.conditions:
-        for name in set(condition.on) & set(bodies):
-            if not isinstance(condition, NoSlip):
-                kind = type(condition).__name__
-                raise ValueError(f"conditions: got {kind} on the body {name!r}, wanted NoSlip, which it has unasked")
-
-
-def _check_flux(case: Any) -> None:
+        body, kind = next((name for name in condition.on if name not in sides), None), type(condition).__name__
+        if body is not None and not isinstance(condition, NoSlip):
+            raise ValueError(f"conditions: got {kind} on the body {body!r}, wanted NoSlip, which it has unasked")
     net = 0.0
     for condition in () if case.outlet else case.conditions:
         for side in case.domain.sides():
@@ -139,6 +123,7 @@ def _check_flux(case: Any) -> None:
 
 
 def _check_inputs(case: Any) -> None:
+    bodies = [body.name for body in case.bodies]
     pieces = Counter(piece.name for body in case.bodies for piece in body.pieces())
     pieces.update(side.name for side in case.domain.sides())
     free = {name for condition in case.conditions if isinstance(condition, Outflow) for name in condition.on}
@@ -147,15 +132,15 @@ def _check_inputs(case: Any) -> None:
             raise ValueError(f"actuators: got {count} on {name!r}, wanted at most one")
     for actuator in case.actuators:
         on, kind = actuator.on, type(actuator).__name__
-        if on not in pieces and case.body(on) is None or on not in pieces and "." in on:
+        if on not in pieces and on not in bodies:
             raise ValueError(f"{kind}: got the piece {on!r}, which there is not; wanted one of {', '.join(pieces)}")
         if on in free:
             raise ValueError(f"{kind}: {on!r} is an open end, wanted a wall, where the velocity is given")
         if not 0 < actuator.limit < math.inf:
             raise ValueError(f"{kind}: got the limit {actuator.limit:g}, wanted a positive number")
-        if actuator.flux is not None and (on in {body.name for body in case.bodies} or pieces[on] > 1):
+        if actuator.flux is not None and (on in bodies or pieces[on] > 1):
             raise ValueError(f"{kind}: got {on!r}, wanted a single part of a body or a side, where it can blow")
-        if actuator.flux is None and case.body(on) is None or actuator.flux is None and "." in on:
+        if actuator.flux is None and on not in bodies:
             raise ValueError(f"{kind}: got {on!r}, wanted the name of a body, as a whole")
         speed, fastest = _speed(case, actuator), FASTEST * case.scales.velocity
         if actuator.limit * speed > fastest:
@@ -194,9 +179,7 @@ def _check_sensors(case: Any) -> None:
             centre = np.array(body.centre)
             hit = inside(centre + CLEAR * (outline(body) - centre), points)
             where = np.where(hit, f"inside {body.name!r}", where)
-        bad = np.flatnonzero(where != "")
-        if len(bad):
-            k = bad[0]
+        for k in np.flatnonzero(where != ""):
             raise ValueError(
                 f"sensor {sensor.name!r}: point {k} is ({points[k, 0]:g}, {points[k, 1]:g}), which is {where[k]}; "
                 "wanted points in the fluid, a little off the bodies"

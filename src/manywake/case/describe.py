@@ -37,14 +37,12 @@ def case(chosen: Case) -> dict[str, Any]:
 
 def task(chosen: Case, task: Task) -> dict[str, Any]:
     """Return all that a task says; its reward and its charge by their names and some values."""
-    fields = {field.name: getattr(task, field.name) for field in dataclasses.fields(task)}
-    reward, charge = fields.pop("reward"), fields.pop("charge")
     free = {name: 3.0 - 0.5 * k for k, name in enumerate(readings(chosen))}
     samples = [{name: math.sin(1.0 + k * (j + 2)) for j, name in enumerate(free)} for k in range(5)]
-    return plain(fields) | {
-        "reward": {"name": _name(reward), "values": [_digits(reward(now, free)) for now in samples]},
-        "charge": {"name": _name(charge), "values": [_digits(charge(reward, free, left)) for left in (1, 7)]},
-    }
+    rewards = [_digits(task.reward(now, free)) for now in samples]
+    charges = [_digits(task.charge(task.reward, free, left)) for left in (1, 7)]
+    reward, charge = {"name": _name(task.reward), "values": rewards}, {"name": _name(task.charge), "values": charges}
+    return plain(vars(task) | {"reward": reward, "charge": charge})
 
 
 def digest(data: Any) -> str:

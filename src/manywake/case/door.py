@@ -26,8 +26,7 @@ def check(case: Case, task: Task) -> None:
             raise ValueError(f"observe: got {name!r}, wanted some of {', '.join(known)}")
     if not task.observe:
         raise ValueError(f"observe: got nothing, wanted some of {', '.join(known)}")
-    flux = np.array([actuator.flux or 0.0 for actuator in case.actuators])
-    net = flux * [actuator.limit for actuator in case.actuators] @ mixing
+    net = np.array([(actuator.flux or 0.0) * actuator.limit for actuator in case.actuators]) @ mixing
     if not case.outlet and abs(net).max() > 1e-12:
         raise ValueError(
             f"mixing: got a net flux of up to {abs(net).max():g}, wanted none, as no boundary has an Outflow to let it "

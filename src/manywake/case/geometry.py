@@ -1,8 +1,11 @@
 """Where things are: closed curves for bodies, an outline for the domain, and their pieces by name.
 
-A body is a closed curve, run through counter-clockwise by a parameter of its own. Its pieces have names: "cylinder" is
-what no part covers, "cylinder.top" a part. Sides of the domain have no prefix. Only this module and the mesh know
-coordinates; all else names pieces.
+A body is a closed curve, run through counter-clockwise by a parameter of its own. Its `pieces()` in that order have
+names: "cylinder" is what no part covers, "cylinder.top" a part. Sides of the domain have no prefix. Only this module
+and the mesh know coordinates; all else names pieces.
+
+Of every body, `point(parameter, height)` gives points (k, 2) of the curve, or of one that lies `height` outside of it;
+`between(a, b)` those in the middle between points a and b (k, 2); `chart(piece, x)` where points (k, 2) of a piece are.
 """
 
 import math
@@ -58,7 +61,7 @@ class _Round:
     straight = False
 
     def pieces(self) -> list[Piece]:
-        """Return all pieces in their order around the curve; ValueError where parts overlap."""
+        """Raises ValueError where parts overlap."""
         if not self.parts:
             return [Piece(self.name, 0.0, 360.0)]
         named = sorted((start, end, part) for part, (start, end) in self.parts.items())
@@ -84,19 +87,16 @@ class Circle(_Round):
     radius: float
 
     def point(self, parameter: np.ndarray, height: float = 0.0) -> np.ndarray:
-        """Return points (k, 2) of the curve, or of one that lies `height` outside of it."""
         angle, r = [math.radians(degrees) for degrees in np.atleast_1d(parameter)], self.radius + height
         return np.array(self.centre) + np.array([(r * math.cos(a), r * math.sin(a)) for a in angle])
 
     def between(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Return the points (k, 2) of the curve in the middle between its points a and b (k, 2)."""
         from_centre, middle = a - self.centre, 0.5 * (a + b) - self.centre
         # the radius of the very points, to the last digit
         r = np.linalg.norm(from_centre, axis=1) / np.linalg.norm(middle, axis=1)
         return self.centre + middle * r[:, None]
 
     def chart(self, piece: Piece, x: np.ndarray) -> Chart:
-        """Return where points (k, 2) of a piece are."""
         outward = x - np.array(self.centre)
         middle, width = np.radians(0.5 * (piece.start + piece.end)), np.radians(piece.end - piece.start)
         offset = np.angle(np.exp(1j * (np.arctan2(outward[:, 1], outward[:, 0]) - middle)))
@@ -111,18 +111,15 @@ class Smooth(_Round):
     centre: Point = (0.0, 0.0)
 
     def point(self, parameter: np.ndarray, height: float = 0.0) -> np.ndarray:
-        """Return points (k, 2) of the curve, or of one that lies `height` outside of it."""
         angle = np.radians(np.atleast_1d(parameter))
         tangent = self._slope(angle) / np.linalg.norm(self._slope(angle), axis=1)[:, None]
         return np.asarray(self.function(angle)) + height * np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
 
     def between(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Return the points (k, 2) of the curve in the middle between points a and b (k, 2) on it, or near it."""
         first, second = self._angle(a), self._angle(b)
         return np.asarray(self.function(first + 0.5 * np.angle(np.exp(1j * (second - first)))))
 
     def chart(self, piece: Piece, x: np.ndarray) -> Chart:
-        """Return where points (k, 2) of a piece are."""
         along = np.radians(np.linspace(piece.start, piece.end, 2001))
         steps = np.linalg.norm(np.diff(np.asarray(self.function(along)), axis=0), axis=1)
         arc, middle = np.concatenate([[0.0], np.cumsum(steps)]), along[1000]
@@ -169,7 +166,6 @@ class Polygon:
 
     @property
     def centre(self) -> Point:
-        """The mean of the corners."""
         x, y = self._xy.mean(axis=0)
         return float(x), float(y)
 
@@ -178,12 +174,10 @@ class Polygon:
         return np.array([corner[:2] for corner in self.corners], dtype=float)
 
     def pieces(self) -> list[Piece]:
-        """Return all sides in their order."""
         names = [f"{self.name}.{corner[2]}" if len(corner) > 2 else self.name for corner in self.corners]
         return [Piece(name, float(k), k + 1.0) for k, name in enumerate(names)]
 
     def point(self, parameter: np.ndarray, height: float = 0.0) -> np.ndarray:
-        """Return points (k, 2) of the polygon, or of one whose sides lie `height` outside of its."""
         xy, parameter = self._xy, np.atleast_1d(parameter)
         after = _normals(xy, np.roll(xy, -1, axis=0))
         before = np.roll(after, 1, axis=0)
@@ -192,11 +186,9 @@ class Polygon:
         return (1 - share) * xy[side] + share * xy[(side + 1) % len(xy)]
 
     def between(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Return the points (k, 2) in the middle between points a and b (k, 2)."""
         return 0.5 * (a + b)
 
     def chart(self, piece: Piece, x: np.ndarray) -> Chart:
-        """Return where points (k, 2) of a side are."""
         ends = self.point(np.array([piece.start, piece.end]))
         return _straight(ends[0], ends[1], x, outward=1.0)
 
@@ -213,7 +205,6 @@ class Side:
     end: Point
 
     def chart(self, x: np.ndarray) -> Chart:
-        """Return where points (k, 2) of the side are."""
         return _straight(np.array(self.start), np.array(self.end), x, outward=-1.0)
 
 
@@ -221,13 +212,12 @@ class Side:
 class Outline:
     """A domain with straight sides. corners: (name, x, y), a side of that name runs from there to the next corner.
 
-    Counter-clockwise: the fluid is on the left. Several sides may share a name.
+    Counter-clockwise, as `sides()` are: the fluid is on the left. Several sides may share a name.
     """
 
     corners: tuple[tuple[str, float, float], ...]
 
     def sides(self) -> list[Side]:
-        """Return the sides, counter-clockwise."""
         following = [*self.corners[1:], self.corners[0]]
         return [Side(name, (x, y), (u, v)) for (name, x, y), (_, u, v) in zip(self.corners, following, strict=True)]
 
@@ -240,7 +230,6 @@ class Box:
     y: tuple[float, float]
 
     def sides(self) -> list[Side]:
-        """Return the sides, counter-clockwise."""
         (x0, x1), (y0, y1) = self.x, self.y
         return Outline((("bottom", x0, y0), ("right", x1, y0), ("top", x1, y1), ("left", x0, y1))).sides()
 

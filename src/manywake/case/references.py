@@ -22,25 +22,20 @@ class Settled:
 
 
 @dataclass(frozen=True)
-class Statistic:
+class _Number:
+    name: str
+    of: str
+    value: float
+    tolerance: float
+    source: str
+
+
+class Statistic(_Number):
     """A number of the uncontrolled flow over whole periods: a reading's mean, max, min or rms, as "c_d max", or St."""
 
-    name: str
-    of: str
-    value: float
-    tolerance: float
-    source: str
 
-
-@dataclass(frozen=True)
-class Steady:
+class Steady(_Number):
     """A reading of the steady flow at the case's Reynolds number, by Newton's method."""
-
-    name: str
-    of: str
-    value: float
-    tolerance: float
-    source: str
 
 
 @dataclass(frozen=True)

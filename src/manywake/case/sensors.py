@@ -1,39 +1,30 @@
 """Sensors: what is observed, by name, as rows of numbers that multiply the velocity or the pressure."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Protocol
+from typing import ClassVar, Literal
 
 from manywake.case.geometry import Point
 
 
-class Sensor(Protocol):
+@dataclass(frozen=True)
+class Sensor:
     """Reads a field at points. `field` says which; a velocity has two values a point, u0, v0, u1, v1, ..."""
 
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def points(self) -> tuple[Point, ...]: ...
-
+    name: str
+    points: tuple[Point, ...]
     field: ClassVar[Literal["pressure", "velocity"]]
 
 
-@dataclass(frozen=True)
-class Pressure:
+class Pressure(Sensor):
     """Pressure at points, in units of rho U^2."""
 
-    name: str
-    points: tuple[Point, ...]
-    field: ClassVar[Literal["pressure", "velocity"]] = "pressure"
+    field = "pressure"
 
 
-@dataclass(frozen=True)
-class Velocity:
+class Velocity(Sensor):
     """Velocity at points, both components of each."""
 
-    name: str
-    points: tuple[Point, ...]
-    field: ClassVar[Literal["pressure", "velocity"]] = "velocity"
+    field = "velocity"
 
 
 def values(sensor: Sensor) -> int:

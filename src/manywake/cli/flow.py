@@ -1,116 +1,128 @@
-"""manywake validate, manywake baseline: what is known of a flow before any training."""
+"""Commands on a case, whose settings are their options; manywake validate, manywake baseline."""
 
+import argparse
 import dataclasses
 import json
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Literal
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
 from manywake.case import task as tasks
-from manywake.cli import options
 from manywake.cli.show import Bar, Json, numbers
 from manywake.suite import load
-from manywake.suite.load import Chosen, Definition
+from manywake.suite.load import Chosen, Definition, Setting
 
+OF_THE_TASK = ("interval", "actions", "observe", "reward", "law", "points")
+"""Beginnings of the settings that change nothing of the flow itself."""
 CaseName = Annotated[str, tyro.conf.arg(help=f"Which flow: {', '.join(load.names())}, or the path of a case file.")]
 
 
-def validate_command(definition: Definition, name: str) -> type:
-    """Return the command, with the settings of a case as its options."""
-    Own: Any = options.settings(definition, "default", task=False)
+@dataclass(frozen=True)
+class OnCase:
+    """A command on a case; `command` adds the options that are that case's."""
 
-    @dataclasses.dataclass(frozen=True)
-    class Validate:
-        """Check the solver against published references, on the mesh and time step that training uses."""
+    definition: ClassVar[Definition]
+    case: CaseName = load.DEFAULT
+    settings: Any = None
+    """Settings of the case, as its file has them."""
+    json: Json = False
 
-        settings: tyro.conf.OmitArgPrefixes[Own]
-        """Settings of the case, as its file has them."""
-        case: CaseName = name
-        recompute: bool = False
-        """Also recompute the reference of the controlled flows: twice as fine a mesh, half the time step (10 minutes).
-        """
-        json: Json = False
+    def overrides(self) -> dict[str, Any]:
+        """Return the settings that are not what the case's file says, by name."""
+        given, fields = vars(self.settings), dataclasses.fields(self.settings)
+        return {f.name.replace("__", "."): given[f.name] for f in fields if given[f.name] != f.default}
 
-        def run(self) -> int:
-            """Print the table; 1 when a check fails."""
-            return _validate(load.override(definition, "default", options.overrides(self.settings)), self)
-
-    return Validate
+    def chosen(self, protocol: str = "default") -> Chosen:
+        return load.override(self.definition, protocol, self.overrides())
 
 
-def _validate(chosen: Chosen, asked: Any) -> int:
-    from manywake.flow import store, validate
-
-    mixing = tasks.matrix(chosen.task, len(chosen.case.actuators))[:, 0]
-    file = chosen.definition.file
-    with Bar() as bar:
-        flow = store.flow(chosen.case, bar)
-        kept = None if file is None else file.with_suffix(".json")
-        checks = validate.run(flow, chosen.definition.references, mixing, kept, bar, asked.recompute)
-    table = Table("quantity", "ours", "reference", "tolerance", "pass", "source", title=f"validate {asked.case}")
-    for check in checks:
-        passed = "[green]yes[/]" if check.passed else "[red]NO[/]"
-        table.add_row(
-            check.name, f"{check.ours:.6g}", f"{check.reference:.6g}", _tolerance(check), passed, check.source
-        )
-    Console().print(table)
-    every = all(check.passed for check in checks)
-    if asked.json:
-        rows = [{**dataclasses.asdict(check), "passed": check.passed} for check in checks]
-        print(json.dumps({"passed": every, "checks": rows}))
-    return 0 if every else 1
+def first(words: list[str]) -> argparse.Namespace:
+    """Return case and protocol among the words of a command: they choose the defaults that the others override."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--case", default=load.DEFAULT)
+    parser.add_argument("--protocol", default="default")
+    return parser.parse_known_args(words)[0]
 
 
-def _tolerance(check) -> str:
-    if check.kind == "relative":
-        return f"{check.tolerance:.2%}"
-    return f"{check.tolerance:.3g}" if check.kind == "absolute" else check.kind
+def command(kind: type[OnCase], definition: Definition, **defaults: Any) -> Any:
+    """Return a command on a case with its settings as options; one that has a protocol takes the task's too."""
+    protocol = defaults.get("protocol")
+    found = load.settings(definition, protocol or "default").items()
+    own = [_option(name, s) for name, s in found if protocol or name.partition(".")[0] not in OF_THE_TASK]
+    made: Any = dataclasses.make_dataclass("Settings", own, frozen=True)
+    fields: list[Any] = [("settings", Annotated[made, tyro.conf.OmitArgPrefixes], made())]
+    if protocol:
+        fields.append(("protocol", Literal[tuple(definition.protocols)], protocol))
+    also = {"__doc__": kind.__doc__, "definition": definition}
+    whole = dataclasses.make_dataclass(kind.__name__, fields, bases=(kind,), namespace=also, frozen=True)
+    return Annotated[whole, tyro.conf.subcommand(kind.__name__.lower(), default=whole(**defaults))]
 
 
-def baseline_command(definition: Definition, name: str) -> type:
-    """Return the command, with the settings of a case as its options."""
-    Own: Any = options.settings(definition, "default", task=False)
-
-    @dataclasses.dataclass(frozen=True)
-    class Baseline:
-        """Describe the baseline of a case (mesh, start state, mean flow), check its hash, or make it again."""
-
-        settings: tyro.conf.OmitArgPrefixes[Own]
-        """Settings of the case, as its file has them."""
-        case: CaseName = name
-        make: Path | None = None
-        """Make it anew and write it to this file."""
-        json: Json = False
-
-        def run(self) -> int:
-            """Print what it is."""
-            return _describe(load.override(definition, "default", options.overrides(self.settings)), self)
-
-    return Baseline
+def _option(name: str, setting: Setting) -> tuple[str, Any, Any]:
+    kind, default, help, words = setting.type, setting.value, setting.help, None
+    if isinstance(kind, tuple):  # a word that is none of them is refused at the door, as all that does not fit
+        words, kind = f"{{{','.join(kind)}}}", str
+    if name.startswith("points."):
+        kind, default, help = kind | None, None, f"{help} {len(setting.value)} in the case's file."
+    option = tyro.conf.arg(name=name.replace("_", "-"), help=help, metavar=words)
+    return name.replace(".", "__"), Annotated[kind, option], default  # type: ignore[valid-type]
 
 
-def _describe(chosen: Chosen, asked: Any) -> int:
-    from manywake.flow import baseline, store
+@dataclass(frozen=True)
+class Validate(OnCase):
+    """Check the solver against published references, on the mesh and time step that training uses."""
 
-    with Bar() as bar:
-        if asked.make is None:
-            base = store.get(chosen.case, bar)
-        else:
-            base = baseline.make(chosen.case, progress=bar)
-            baseline.save(base, asked.make)
-    described = {
-        "case": asked.case,
-        "flow_digest": base.flow_digest,
-        "digest": base.digest(),
-        "recipe": base.recipe,
-        "check": "content matches its hash and its case",
-        "triangles": len(base.mesh.triangles),
-        **dataclasses.asdict(base.shedding),
-        "strouhal": base.shedding.strouhal(chosen.case.convective_time),
-        **{f"steady {name}": value for name, value in base.steady.items()},
-    }
-    numbers(described, asked.json)
-    return 0
+    recompute: bool = False
+    """Also recompute the reference of the controlled flows: twice as fine a mesh, half the time step (10 minutes)."""
+
+    def run(self) -> int:
+        from manywake.flow import store, validate
+
+        chosen = self.chosen()
+        mixing = tasks.matrix(chosen.task, len(chosen.case.actuators))[:, 0]
+        kept = self.definition.file and self.definition.file.with_suffix(".json")
+        with Bar() as bar:
+            flow = store.flow(chosen.case, bar)
+            checks = validate.run(flow, self.definition.references, mixing, kept, bar, self.recompute)
+        table = Table("quantity", "ours", "reference", "tolerance", "pass", "source", title=f"validate {self.case}")
+        for check in checks:
+            passed = "[green]yes[/]" if check.passed else "[red]NO[/]"
+            within = {"relative": f"{check.tolerance:.2%}", "absolute": f"{check.tolerance:.3g}"}
+            values = f"{check.ours:.6g}", f"{check.reference:.6g}", within.get(check.kind, check.kind)
+            table.add_row(check.name, *values, passed, check.source)
+        Console().print(table)
+        every = all(check.passed for check in checks)
+        if self.json:
+            rows = [{**dataclasses.asdict(check), "passed": check.passed} for check in checks]
+            print(json.dumps({"passed": every, "checks": rows}))
+        return 0 if every else 1
+
+
+@dataclass(frozen=True)
+class Baseline(OnCase):
+    """Describe the baseline of a case (mesh, start state, mean flow), check its hash, or make it again."""
+
+    make: Path | None = None
+    """Make it anew and write it to this file."""
+
+    def run(self) -> int:
+        from manywake.flow import baseline, store
+
+        case = self.chosen().case
+        with Bar() as bar:
+            if self.make is None:
+                base = store.get(case, bar)
+            else:
+                base = baseline.make(case, progress=bar)
+                baseline.save(base, self.make)
+        described: dict[str, Any] = {"case": self.case, "flow_digest": base.flow_digest, "digest": base.digest()}
+        described |= {"recipe": base.recipe, "check": "content matches its hash and its case"}
+        described |= {"triangles": len(base.mesh.triangles), **dataclasses.asdict(base.shedding)}
+        described |= {"strouhal": base.shedding.strouhal(case.convective_time)}
+        described |= {f"steady {name}": value for name, value in base.steady.items()}
+        numbers(described, self.json)
+        return 0

@@ -3,29 +3,24 @@
 import os
 import signal
 import sys
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any, Union
 
 import tyro
 
-from manywake.cli import options
-from manywake.cli.flow import baseline_command, validate_command
-from manywake.cli.runs import Evaluate, Replay
+from manywake.cli.flow import Baseline, Validate, command, first
+from manywake.cli.runs import Evaluate, Replay, Resume, Train
 from manywake.cli.show import console, say
-from manywake.cli.training import Resume, train_command
 from manywake.suite import load
 
 PACKAGES = {"figure": "experiments", "bench": "benchmarks"}
 """Commands that are packages of the source checkout, with options of their own."""
 
 
-@dataclass(frozen=True)
 class Figure:
     """Rerun an experiment: train, write its tables, draw its figure (manywake figure --help)."""
 
 
-@dataclass(frozen=True)
 class Bench:
     """Measure (manywake bench --help)."""
 
@@ -43,43 +38,27 @@ def _hand_over(command: str, words: list[str]) -> None:
 
 def _commands(words: list[str]) -> Any:
     """Return all commands; those that take a case with the settings of the one that the words name."""
-    asked = options.first(words[1:] if words[:1] in (["train"], ["validate"], ["baseline"]) else [])
+    asked = first(words[1:] if words[:1] in (["train"], ["validate"], ["baseline"]) else [])
     definition = load.load(asked.case)
-    chosen = {
-        "validate": validate_command(definition, asked.case),
-        "baseline": baseline_command(definition, asked.case),
-        "train": train_command(definition, asked.case, asked.protocol),
-        "resume": Resume,
-        "evaluate": Evaluate,
-        "replay": Replay,
-        "figure": Figure,
-        "bench": Bench,
-    }
-    union: Any = None
-    for name, command in chosen.items():
-        part: Any = Annotated[command, tyro.conf.subcommand(name)]  # type: ignore[valid-type]
-        union = part if union is None else union | part
-    return union
-
-
-def _interrupt(number, frame) -> None:
-    raise KeyboardInterrupt
+    learning = definition.protocol(asked.protocol)[1]
+    commands = (
+        command(Validate, definition, case=asked.case),
+        command(Baseline, definition, case=asked.case),
+        command(Train, definition, **vars(asked), learning=learning),
+        *(Resume, Evaluate, Replay, Figure, Bench),
+    )
+    return Union[commands]  # noqa: UP007
 
 
 def main() -> None:
     """Run the command line."""
-    # a batch system's polite request to stop is treated as Ctrl-C
-    signal.signal(signal.SIGTERM, _interrupt)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a batch system's polite request to stop is as Ctrl-C
     words = sys.argv[1:]
     try:
         if words[:1] and words[0] in PACKAGES:
             _hand_over(words[0], words[1:])
-        chosen = tyro.cli(
-            _commands(words),
-            prog="manywake",
-            description="Active flow control by deep reinforcement learning, on many simulations at once.",
-        )
-        sys.exit(chosen.run())
+        about = "Active flow control by deep reinforcement learning, on many simulations at once."
+        sys.exit(tyro.cli(_commands(words), prog="manywake", description=about).run())
     except KeyboardInterrupt:
         say("stopped")
         sys.exit(130)

@@ -1,81 +1,171 @@
-"""manywake evaluate, manywake replay: what a run's policy does."""
+"""manywake train, resume, evaluate, replay: what makes a run, and what its policy does."""
 
+import dataclasses
 import json
-from dataclasses import dataclass
+import os
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 
 from manywake import api
+from manywake.case.learning import Learning
 from manywake.cli import show
-from manywake.cli.show import Json, console
-
-RunFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
-File = Annotated[
-    Path | None,
-    tyro.conf.arg(help="The case file of the run, if it was a user's own; its hash is compared."),
-]
-Env = Annotated[str | None, tyro.conf.arg(help="The simulation that the run was made with, if it was made with --env.")]
+from manywake.cli.flow import OnCase
+from manywake.cli.show import Bar, Episodes, Json, console, say
+from manywake.learn import external, flows
+from manywake.learn.rollout import Simulation
+from manywake.learn.runs import Run, write_json
+from manywake.learn.settings import Collection, Settings
 
 
 @dataclass(frozen=True)
-class Evaluate:
+class Train(OnCase):
+    """Train a policy, evaluate it, and leave a run folder with checkpoints, tables and pictures."""
+
+    learning: tyro.conf.OmitArgPrefixes[Learning] = Learning()
+    collection: tyro.conf.OmitArgPrefixes[Collection] = Collection()
+    env: str | None = None
+    """Another simulation in place of the case: module:factory, or an id registered with Gymnasium."""
+    protocol: str = "default"
+    """Which defaults the other settings have, of those that the case's file names."""
+    seed: int = 0
+    """Seed of the run: of the first weights, the exploration and the minibatches."""
+    run_folder: Annotated[Path | None, tyro.conf.arg(name="run", metavar="DIR")] = None
+    """Run folder; default runs/<case>-s<seed>-<date>."""
+
+    def run(self) -> int:
+        how, folder = self.collection, self.run_folder or api.folder_for(self.env or self.definition.name, self.seed)
+        simulation: Simulation
+        if self.env is None:
+            chosen = self.chosen(self.protocol)
+            with Bar() as bar:
+                simulation = flows.open_flows(chosen, bar)
+        else:
+            actions = self.overrides().get("actions", external.HORIZON)
+            simulation = external.open_simulation(self.env, actions, os.getcwd())
+        settings = Settings(self.learning, how, self.seed)
+        say(f"{api.layout(how, self.learning.update_period)}; {how.engine}; {how.schedule}, {how.clock} clock")
+        say(f"run folder {folder}")
+        opened = api.OpenRun(Run(folder), simulation)
+        return _watched(
+            lambda shown: api.train_into(folder, simulation, settings, shown), opened, self.learning, 0, self.json
+        )
+
+
+@dataclass(frozen=True)
+class OnRun:
+    """A command on a run."""
+
+    run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    _: KW_ONLY
+    case: Path | None = None
+    """The case file of the run, if it was a user's own; its hash is compared."""
+    env: str | None = None
+    """The simulation that the run was made with, if it was made with --env."""
+    json: Json = False
+
+    def opened(self) -> api.OpenRun:
+        return api.load_run(self.run_folder, self.case, env=self.env)
+
+
+@dataclass(frozen=True)
+class Resume(OnRun):
+    """Go on with a training that was stopped or killed, to the same bits as if it had not been.
+
+    Where it runs may differ from where it began: the options below take the place of the run's own.
+    """
+
+    engine: Literal["processes", "serial", "threads", "ray"] | None = None
+    """Where episodes are played."""
+    address: str | None = None
+    """Address of a running Ray cluster."""
+    workers: int | None = None
+    """Processes, threads or tasks at once."""
+    lanes: int | None = None
+    """Environments that a worker advances side by side."""
+    time_limit: float | None = None
+    """Seconds that a block may take until its worker is replaced."""
+
+    def run(self) -> int:
+        from manywake.learn import checkpoints
+
+        opened = self.opened()
+        learning = opened.run.settings.learning
+        names = ("engine", "address", "workers", "lanes", "time_limit")
+        where = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        done = checkpoints.newest(opened.run)[1].version * learning.update_period
+        return _watched(lambda shown: api.resume(opened, shown, **where), opened, learning, done, self.json)
+
+
+@dataclass(frozen=True)
+class Evaluate(OnRun):
     """Play a run's deterministic policy, for a flow against the uncontrolled one."""
 
-    run_folder: RunFolder
-    case: File = None
-    env: Env = None
     checkpoint: Literal["last", "best"] = "last"
     """Which policy: the last, or the one whose episodes had the best mean reward."""
     workers: int = 2
     """Threads that play."""
-    json: Json = False
 
     def run(self) -> int:
-        """Print the table and draw the pictures."""
-        numbers = evaluated(api.load_run(self.run_folder, self.case, env=self.env), self.checkpoint, self.workers)
+        numbers = _evaluated(self.opened(), self.checkpoint, self.workers)
         if self.json:
             print(json.dumps(numbers))
         return 0
 
 
-def evaluated(opened: api.OpenRun, checkpoint: str, workers: int) -> dict[str, Any]:
-    """Evaluate a run's policy, show and keep what came out, draw it; return the numbers."""
-    from manywake.learn import runs
+@dataclass(frozen=True)
+class Replay(OnRun):
+    """Play one episode of a run again, alone, with the policies it was played by, and compare it with its record."""
 
+    episode: Annotated[int, tyro.conf.Positional]
+    """Its number, from 0."""
+
+    def run(self) -> int:
+        from manywake.learn.replay import replay
+
+        opened = self.opened()
+        result = replay(opened.run, opened.simulation, self.episode)
+        versions = sorted(set(result.episode.versions.tolist()))
+        described = {"episode": self.episode, "versions": versions, **result.numbers, "same_as_recorded": result.same}
+        show.numbers(described, self.json)
+        return 1 if result.same is False else 0
+
+
+def _watched(work: Callable[..., Any], opened: api.OpenRun, learning: Learning, done: int, as_json: bool) -> int:
+    """Run a training with a progress bar, then evaluate it; work(show) trains."""
+    folder = opened.folder
+    with Episodes(learning.episodes, done) as bar:
+        try:
+            trained = work(bar.show)
+        except KeyboardInterrupt:
+            bar.stop()
+            kept = f"stopped; what was learnt is kept, go on with: manywake resume {folder}"
+            say(kept if (folder / "settings.json").exists() else "stopped before there was anything to keep")
+            return 130
+    numbers = dataclasses.asdict(trained)
+    write_json(folder / "training.json", numbers)
+    numbers = {**_evaluated(opened, "last", 2), **numbers}
+    for share, when in trained.reached.items():
+        if when is not None:
+            say(f"while exploring, {float(share):.1%} gained after: {when[0]} episodes, {when[1] / 60:.1f} min")
+    if trained.failures:
+        say(f"{trained.failures} blocks of episodes were lost and played again: {folder / 'failures.csv'}")
+    say(f"trained in {trained.wall_time_s / 60:.1f} min; policy {trained.policy_sha256[:16]}; see {folder}")
+    if as_json:
+        print(json.dumps(numbers))
+    return 0
+
+
+def _evaluated(opened: api.OpenRun, checkpoint: str, workers: int) -> dict[str, Any]:
+    """Evaluate a run's policy, show and keep what came out, draw it; return the numbers."""
     with console.status("evaluating the deterministic policy"):
         found = api.evaluate(opened, checkpoint, workers)
     tail = "" if checkpoint == "last" else f"-{checkpoint}"
     numbers = found.summary()
-    runs.write_json(opened.folder / f"evaluation{tail}.json", numbers)
+    write_json(opened.folder / f"evaluation{tail}.json", numbers)
     found.draw(opened.folder, tail)
     show.table(found.table())
     return numbers
-
-
-@dataclass(frozen=True)
-class Replay:
-    """Play one episode of a run again, alone, with the policies it was played by, and compare it with its record."""
-
-    run_folder: RunFolder
-    episode: Annotated[int, tyro.conf.Positional]
-    """Its number, from 0."""
-    case: File = None
-    env: Env = None
-    json: Json = False
-
-    def run(self) -> int:
-        """Print its numbers; 1 when they are not those of the record."""
-        from manywake.learn.replay import replay
-
-        opened = api.load_run(self.run_folder, self.case, env=self.env)
-        result = replay(opened.run, opened.simulation, self.episode)
-        described = {
-            "episode": self.episode,
-            "versions": sorted(set(result.episode.versions.tolist())),
-            **result.numbers,
-            "same_as_recorded": result.same,
-        }
-        show.numbers(described, self.json)
-        return 1 if result.same is False else 0

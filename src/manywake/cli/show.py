@@ -1,22 +1,13 @@
 """What the commands show: bars while something long goes on, tables of numbers, JSON as the last line."""
 
 import json
-import time
 from collections.abc import Sequence
 from typing import Annotated, Any
 
 import tyro
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 console = Console(stderr=True)
@@ -24,55 +15,35 @@ console = Console(stderr=True)
 Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object as the last line.")]
 
 
-class Bar:
+class Bar(Progress):
     """Shows progress(what, share) as a bar for each work under way, and a line for each that was done meanwhile."""
 
     def __init__(self) -> None:
-        self.progress = Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console)
-        self.tasks: dict[str, tuple[TaskID, float]] = {}
-
-    def __enter__(self) -> "Bar":
-        self.progress.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.progress.stop()
+        super().__init__("{task.description}", BarColumn(), TimeElapsedColumn(), console=console)
 
     def __call__(self, what: str, share: float) -> None:
+        task = next((task for task in self.tasks if task.description == what), None)
         if share < 1.0:
-            if what not in self.tasks:
-                self.tasks[what] = self.progress.add_task(what, total=1.0), time.perf_counter()
-            self.progress.update(self.tasks[what][0], completed=share)
-        elif what in self.tasks:
-            task, begun = self.tasks.pop(what)
-            self.progress.remove_task(task)
-            say(f"{what}: {time.perf_counter() - begun:.0f} s")
+            self.update(task.id if task else self.add_task(what, total=1.0), completed=share)
+        elif task:
+            self.remove_task(task.id)
+            say(f"{what}: {task.elapsed:.0f} s")
 
 
-class Episodes:
+class Episodes(Progress):
     """A bar of a training's episodes, with where the time goes and how the newest episodes were."""
 
     def __init__(self, total: int, done: int):
-        self.progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[shares]}"),
-            TextColumn("{task.fields[numbers]}"),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            console=console,
-        )
-        self.bar = self.progress.add_task("episodes", total=total, completed=done, shares="", numbers="")
+        fields = "{task.fields[shares]}", "{task.fields[numbers]}"
+        times = TimeElapsedColumn(), TimeRemainingColumn()
+        super().__init__("{task.description}", BarColumn(), MofNCompleteColumn(), *fields, *times, console=console)
+        self.bar = self.add_task("episodes", total=total, completed=done, shares="", numbers="")
 
     def show(self, episodes, shares, failures: int) -> None:
         """Take a block of episodes; as `train.Show`."""
-        self.progress.update(
-            self.bar,
-            advance=len(episodes),
-            numbers=_numbers(episodes, failures),
-            shares=_shares(vars(shares)),
-        )
+        spent, total = vars(shares), sum(vars(shares).values())
+        times = " ".join(f"{name} {value / total:.0%}" for name, value in spent.items() if value > total / 200)
+        self.update(self.bar, advance=len(episodes), numbers=_numbers(episodes, failures), shares=times)
 
 
 def _numbers(episodes, failures: int) -> str:
@@ -84,20 +55,15 @@ def _numbers(episodes, failures: int) -> str:
     return f"C_D {means[0]:.3f} C_L {means[1]:+.3f}{lost}"
 
 
-def _shares(seconds: dict[str, float]) -> str:
-    total = sum(seconds.values())
-    return " ".join(f"{name} {value / total:.0%}" for name, value in seconds.items() if value > total / 200)
-
-
 def say(text: str) -> None:
     """Print a line beside the bars, brackets and all."""
     console.print(escape(text), highlight=False, soft_wrap=True)
 
 
-def table(rows: Sequence[tuple[str, ...]], title: str | None = None) -> None:
+def table(rows: Sequence[tuple[str, ...]]) -> None:
     """Print rows, the first of them the heads of the columns."""
     head, *rest = rows
-    shown = Table(*map(escape, head), title=title)
+    shown = Table(*map(escape, head))
     for row in rest:
         shown.add_row(*map(escape, row))
     Console().print(shown)

@@ -25,10 +25,8 @@ def spaces(case: Case, task: Task) -> tuple[Box, Box]:
     counts = {sensor.name: sensors.values(sensor) for sensor in case.sensors} | {"amplitudes": len(case.actuators)}
     values = sum(counts.get(name, 1) for name in task.observe)
     actions = tasks.matrix(task, len(case.actuators)).shape[1]
-    return (
-        Box(-OBSERVATION_LIMIT, OBSERVATION_LIMIT, (values,), np.float32),
-        Box(-1.0, 1.0, (actions,), np.float32),
-    )
+    seen = Box(-OBSERVATION_LIMIT, OBSERVATION_LIMIT, (values,), np.float32)
+    return seen, Box(-1.0, 1.0, (actions,), np.float32)
 
 
 @dataclass(frozen=True)
@@ -59,16 +57,14 @@ class ControlledFlows:
         self.mixing = tasks.matrix(task, len(flow.case.actuators))
         self.limits = np.array([actuator.limit for actuator in flow.case.actuators])
         self.free = {name: float(value) for name, value in flow.baseline.free.items()}
-        self.amplitude = np.zeros((len(self.limits), flows))
-        self.wanted = np.zeros((len(self.limits), flows))
+        self.amplitude, self.wanted = np.zeros((2, len(self.limits), flows))
         self.actions = np.zeros(flows, dtype=np.int64)
         self.means = {name: np.full(flows, value) for name, value in self.free.items()}
 
     def reset(self, columns: list[int] | np.ndarray, start: Start | None = None) -> None:
         """Put columns back to their start state (or to `start`), with amplitudes and action count 0."""
         self.batch.reset(columns, start)
-        self.amplitude[:, columns] = 0.0
-        self.wanted[:, columns] = 0.0
+        self.amplitude[:, columns] = self.wanted[:, columns] = 0.0
         self.actions[columns] = 0
         for name, value in self.free.items():
             self.means[name][columns] = value
@@ -79,45 +75,31 @@ class ControlledFlows:
         Readings are means over the last action, those of the uncontrolled flow before the first. Amplitudes are in
         units of their limits.
         """
-        parts = []
-        for name in self.task.observe:
-            if name == "amplitudes":
-                parts.append((self.amplitude / self.limits[:, None]).T)
-            elif name in self.means:
-                parts.append(self.means[name][:, None])
-            else:
-                parts.append(self.batch.read(name))
+        known = {name: part[:, None] for name, part in self.means.items()}
+        known["amplitudes"] = (self.amplitude / self.limits[:, None]).T
+        parts = [known[name] if name in known else self.batch.read(name) for name in self.task.observe]
         raw = np.nan_to_num(np.concatenate(parts, axis=1), nan=0.0, posinf=0.0, neginf=0.0)
         return np.clip(raw, -OBSERVATION_LIMIT, OBSERVATION_LIMIT).astype(np.float32)
 
     def act(self, actions: np.ndarray) -> Outcome:
         """Hold actions (B, actions), clipped to [-1, 1], for one action interval."""
-        dt = self.flow.case.dt
-        wanted = self.limits[:, None] * self._mixed(np.clip(actions.astype(np.float64), -1.0, 1.0))
-        amplitudes = self.task.law.series(self.steps, dt, self.amplitude, self.wanted, wanted)
+        clipped = np.clip(actions.astype(np.float64), -1.0, 1.0)
+        # summed in order, so that no bit depends on B
+        mixed = sum(self.mixing[:, k, None] * clipped[None, :, k] for k in range(clipped.shape[1]))
+        wanted = self.limits[:, None] * mixed
+        amplitudes = self.task.law.series(self.steps, self.flow.case.dt, self.amplitude, self.wanted, wanted)
         read = self.batch.advance(amplitudes)
         self.amplitude, self.wanted = amplitudes[-1].copy(), wanted
         self.actions += 1
         series = readings.named(self.flow.operators, read, amplitudes)
-        diverged = self._diverged(read, series)
+        forces = [part for name, part in series.items() if name.startswith(("c_d.", "c_l."))]
+        bounded = [(np.abs(part) < NO_FLOW).all(axis=0) for part in forces]
+        diverged = ~np.logical_and.reduce([*bounded, np.isfinite(read).all(axis=(0, 1))])
         means = readings.means({name: np.where(diverged, np.nan, part) for name, part in series.items()})
         self.means = {name: part.copy() for name, part in means.items()}
         truncated = (self.actions >= self.task.actions) & ~diverged
         reward = np.array([self._reward(means, b, bool(diverged[b])) for b in range(self.count)])
         return Outcome(reward, means, self.amplitude.copy(), diverged, truncated, series, amplitudes)
-
-    def _mixed(self, actions: np.ndarray) -> np.ndarray:
-        """Return the amplitudes over their limits (inputs, B), summed in order so that no bit depends on B."""
-        mixed = np.zeros((len(self.mixing), len(actions)))
-        for k in range(self.mixing.shape[1]):
-            mixed = mixed + self.mixing[:, k, None] * actions[None, :, k]
-        return mixed
-
-    @staticmethod
-    def _diverged(read: np.ndarray, series: dict[str, np.ndarray]) -> np.ndarray:
-        forces = [part for name, part in series.items() if name.startswith(("c_d.", "c_l."))]
-        bounded = [(np.abs(part) < NO_FLOW).all(axis=0) for part in forces]
-        return ~np.logical_and.reduce([*bounded, np.isfinite(read).all(axis=(0, 1))])
 
     def _reward(self, means: dict[str, np.ndarray], b: int, diverged: bool) -> float:
         """Return one flow's reward: of its readings as plain numbers, or, where it blew up, what its task charges."""
@@ -142,7 +124,6 @@ def drive(flows: ControlledFlows, choose: Callable[[int, np.ndarray], np.ndarray
     seen = flows.observe()
     for t in range(actions):
         action = choose(t, seen)
-        outcome = flows.act(action)
-        step = Step(seen, action, outcome, flows.observe())
+        step = Step(seen, action, flows.act(action), flows.observe())
         yield step
         seen = step.after

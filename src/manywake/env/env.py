@@ -1,6 +1,5 @@
 """The Gymnasium environments of any flow: a true batch, and a single one."""
 
-import dataclasses
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,9 +9,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from manywake.case.case import Case, readings
+from manywake.case.case import Case
 from manywake.case.task import Task
-from manywake.env.control import ControlledFlows, Outcome, spaces
+from manywake.env.control import ControlledFlows, spaces
 from manywake.flow import store
 from manywake.suite import load
 
@@ -28,9 +27,8 @@ def _checked(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
     array = np.asarray(actions, dtype=np.float64)
     if array.shape != shape:
         raise ValueError(f"action: got shape {array.shape}, wanted {shape}; numbers in [-1, 1], flows first")
-    bad = array[~np.isfinite(array)]
-    if bad.size:
-        raise ValueError(f"action: got {bad[0]}, wanted finite numbers in [-1, 1]; check the policy's output")
+    for bad in array[~np.isfinite(array)]:
+        raise ValueError(f"action: got {bad}, wanted finite numbers in [-1, 1]; check the policy's output")
     return array
 
 
@@ -42,9 +40,9 @@ class FlowVectorEnv(gymnasium.vector.VectorEnv):
 
     Observation (B, values): what `Task.observe` names. Action (B, actions) in [-1, 1]: mixed to amplitudes in units of
     their limits (`Task.mixing`). The horizon is `truncated`; a flow that blows up is `terminated` with a finite
-    observation and a charge. `info` has, for the last action, every reading by name (means; C = 2F / (rho U^2 L), drag
-    positive downstream, lift positive up; absent before the first action, NaN when the flow blew up), amplitudes
-    (inputs), time and diverged. The convention stands in `metadata["coefficients"]` too.
+    observation and a charge. `info` has, for the last action, every reading by name (means, absent before the first
+    action, NaN when the flow blew up; their convention stands in `metadata["coefficients"]`), amplitudes (inputs), time
+    and diverged.
     """
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP, "coefficients": COEFFICIENTS}
@@ -64,16 +62,13 @@ class FlowVectorEnv(gymnasium.vector.VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._flows = ControlledFlows(store.flow(self.case, _say), self.task, num_envs)
-        self._readings = readings(self.case)
-        self._ended = np.zeros(num_envs, dtype=bool)
-        self._fresh = np.ones(num_envs, dtype=bool)
-        self._last = self._nothing()
+        self._ended, self._diverged, self._fresh = np.zeros((3, num_envs), dtype=bool)
+        self._restart(~self._fresh)
 
-    def _nothing(self) -> Outcome:
-        """Return the outcome before any action: all zero."""
-        zero, no = np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=bool)
-        means = {name: zero.copy() for name in self._readings}
-        return Outcome(zero, means, np.zeros_like(self._flows.amplitude), no, no, {}, np.empty(0))
+    def _restart(self, which: np.ndarray) -> None:
+        """Put the flows of a mask back to the start state; a fresh flow has no readings yet."""
+        self._flows.reset(np.flatnonzero(which))
+        self._fresh[which], self._ended[which], self._diverged[which] = True, False, False
 
     def reset(self, *, seed=None, options: dict[str, Any] | None = None):
         """Put all flows (or those of options["reset_mask"]) back to the start state."""
@@ -84,72 +79,53 @@ class FlowVectorEnv(gymnasium.vector.VectorEnv):
             raise ValueError(
                 f"reset_mask: got {mask}, wanted {self.num_envs} booleans, one per flow, at least one True"
             )
-        columns = np.flatnonzero(mask)
-        self._flows.reset(columns)
-        self._ended[columns] = False
-        self._last = _cleared(self._last, columns)
-        self._fresh[columns] = True
+        self._restart(mask)
         return self._flows.observe(), self._info(mask)
 
     def step(self, actions):
         """Advance every flow by one action interval; what happens at an episode's end is the autoreset mode's."""
         action = _checked(actions, (self.num_envs, *self.single_action_space.shape))
-        mode = self.metadata["autoreset_mode"]
-        if mode == AutoresetMode.DISABLED and self._ended.any():
+        mode, ended = self.metadata["autoreset_mode"], self._ended.copy()
+        if mode == AutoresetMode.DISABLED and ended.any():
             raise ValueError(
-                f"step: flow {int(np.flatnonzero(self._ended)[0])} has ended; with autoreset disabled, call "
+                f"step: flow {ended.argmax()} has ended; with autoreset disabled, call "
                 'reset(options={"reset_mask": ...}) first'
             )
-        resetting = np.flatnonzero(self._ended) if mode == AutoresetMode.NEXT_STEP else np.empty(0, int)
-        outcome = self._last = self._flows.act(action)
+        outcome = self._flows.act(action)
+        reward, truncated, self._diverged = outcome.reward, outcome.truncated, outcome.diverged
         self._fresh[:] = False
-        if len(resetting):
-            self._flows.reset(resetting)
-            self._fresh[resetting] = True
-            outcome = self._last = _cleared(outcome, resetting)
-        terminated, truncated = outcome.diverged.copy(), outcome.truncated.copy()
-        observation, info = self._flows.observe(), self._info()
+        if ended.any():  # with NEXT_STEP: their step is the reset
+            self._restart(ended)
+            reward[ended], truncated[ended] = 0.0, False
+        terminated = self._diverged.copy()
         self._ended = terminated | truncated
+        observation, info = self._flows.observe(), self._info()
         if mode == AutoresetMode.SAME_STEP and self._ended.any():
-            observation, info = self._replaced(observation, info, outcome)
-        return observation, outcome.reward.copy(), terminated, truncated, info
+            observation, info = self._restarted(observation, info)
+        return observation, reward, terminated, truncated, info
 
-    def _replaced(self, observation: np.ndarray, info: dict[str, Any], outcome: Outcome):
-        """Start ended flows anew in the same step; return the new observation and info, with the final ones in it."""
-        columns = np.flatnonzero(self._ended)
+    def _restarted(self, last: np.ndarray, info: dict[str, Any]) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start ended flows anew in the same step; return the new observation and info, with the last ones in it."""
+        ended = self._ended.copy()
         final = np.full(self.num_envs, None, dtype=object)
-        for column in columns:
-            final[column] = observation[column].copy()
-        final_info = info | {key: self._ended.copy() for key in info if key.startswith("_")}
-        self._flows.reset(columns)
-        self._last = _cleared(outcome, columns)
-        self._fresh[columns] = True
-        info = self._info()
-        info |= {"final_obs": final, "_final_obs": self._ended.copy()}
-        info |= {"final_info": final_info, "_final_info": self._ended.copy()}
-        self._ended = np.zeros(self.num_envs, dtype=bool)
-        return self._flows.observe(), info
+        for column in np.flatnonzero(ended):
+            final[column] = last[column].copy()
+        final_info = info | {key: ended.copy() for key in info if key.startswith("_")}
+        self._restart(ended)
+        also = {"final_obs": final, "_final_obs": ended, "final_info": final_info, "_final_info": ended.copy()}
+        return self._flows.observe(), self._info() | also
 
-    def _info(self, mask: np.ndarray | None = None) -> dict[str, Any]:
-        """Return the info of the last action, for the flows of `mask`; a fresh flow has no readings yet."""
-        there = np.ones(self.num_envs, dtype=bool) if mask is None else mask
-        info: dict[str, Any] = {name: part.copy() for name, part in self._last.means.items()}
-        present = {f"_{name}": there & ~self._fresh for name in info}
+    def _info(self, there: np.ndarray | bool = True) -> dict[str, Any]:
+        """Return the info of the last action, for the flows that are `there`."""
+        there = np.full(self.num_envs, there)
+        means = {name: np.where(self._fresh, 0.0, part) for name, part in self._flows.means.items()}
         now = {
             "amplitudes": self._flows.amplitude.T.copy(),
             "time": self._flows.actions * self.task.interval,
-            "diverged": self._last.diverged.copy(),
+            "diverged": self._diverged.copy(),
         }
-        return info | now | present | {f"_{name}": there.copy() for name in now}
-
-
-def _cleared(outcome: Outcome, columns: np.ndarray) -> Outcome:
-    """Return the outcome with the given columns as just after a reset."""
-    means = {name: part.copy() for name, part in outcome.means.items()}
-    parts = {name: getattr(outcome, name).copy() for name in ("reward", "diverged", "truncated", "amplitude")}
-    for part in (*parts.values(), *means.values()):
-        part[..., columns] = 0
-    return dataclasses.replace(outcome, means=means, **parts)
+        present = {f"_{name}": there & ~self._fresh for name in means} | {f"_{name}": there.copy() for name in now}
+        return means | now | present
 
 
 class FlowEnv(gymnasium.Env):
@@ -185,9 +161,5 @@ def register() -> None:
     """Tell Gymnasium of `manywake/Flow-v0`, any case, and of an id for each shipped flow."""
     ids: dict[str, dict[str, Any]] = {"Flow": {}, "CylinderJets": {"case": "cylinder-jets"}}
     for name, settings in ids.items():
-        gymnasium.register(
-            f"manywake/{name}-v0",
-            entry_point="manywake.env.env:FlowEnv",
-            vector_entry_point="manywake.env.env:FlowVectorEnv",
-            kwargs=settings,
-        )
+        single, vector = f"{__name__}:FlowEnv", f"{__name__}:FlowVectorEnv"
+        gymnasium.register(f"manywake/{name}-v0", single, vector_entry_point=vector, kwargs=settings)

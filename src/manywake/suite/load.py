@@ -32,7 +32,7 @@ DEFAULT = "cylinder-jets"
 
 @dataclass(frozen=True)
 class Definition:
-    """What a case file says. file: its path. sha256: of the file; None for a case made in Python.
+    """What a case file says, and its path and hash, None for a case made in Python.
 
     protocols: task and learner's settings by name; "default" is TASK and LEARNING.
     """
@@ -51,7 +51,6 @@ class Definition:
         return self.file is not None and self.file.parent == Path(__file__).parent
 
     def protocol(self, name: str) -> tuple[Task, Learning]:
-        """Return task and learner's settings by name; ValueError names those there are."""
         if name not in self.protocols:
             raise ValueError(f"protocol: got {name!r}, wanted one of {', '.join(self.protocols)}")
         return self.protocols[name]
@@ -106,20 +105,13 @@ def _definition(name: str, said: Mapping[str, Any], path: Path) -> Definition:
         if not isinstance(said.get(word), kind):
             got = type(said[word]).__name__ if word in said else "nothing"
             raise ValueError(f"case: {path} has {got} as {word}, wanted {word} = {kind.__name__}(...)")
-    task = said["TASK"]
+    task, case = said["TASK"], said["CASE"]
     protocols = {"default": (task, said.get("LEARNING", Learning())), **said.get("PROTOCOLS", {})}
     for word, both in protocols.items():
         if not isinstance(both, tuple) or [type(part) for part in both] != [Task, Learning]:
             raise ValueError(f"case: {path} has {both!r} as the protocol {word!r}, wanted (Task(...), Learning(...))")
-    return Definition(
-        name,
-        said["CASE"],
-        protocols,
-        said.get("REWARDS", {_name(task.reward): task.reward}),
-        tuple(said.get("REFERENCES", ())),
-        path,
-        hashlib.sha256(path.read_bytes()).hexdigest(),
-    )
+    rewards, references = said.get("REWARDS", {_name(task.reward): task.reward}), tuple(said.get("REFERENCES", ()))
+    return Definition(name, case, protocols, rewards, references, path, hashlib.sha256(path.read_bytes()).hexdigest())
 
 
 def _name(function: Any) -> str:
@@ -135,8 +127,8 @@ def choose(case: str | Path | Case, task: Task | str | None = None, **overrides:
     if task is None or isinstance(task, str):
         return override(load(case), task or "default", overrides)
     definition = load(case, task)
-    default = {"default": (task, definition.protocol("default")[1])}
-    return override(replace(definition, protocols={**definition.protocols, **default}), "default", overrides)
+    protocols = {**definition.protocols, "default": (task, definition.protocol("default")[1])}
+    return override(replace(definition, protocols=protocols), "default", overrides)
 
 
 def override(definition: Definition, protocol: str, overrides: Mapping[str, Any]) -> Chosen:
@@ -147,7 +139,8 @@ def override(definition: Definition, protocol: str, overrides: Mapping[str, Any]
     task, learning = definition.protocol(protocol)
     owners: dict[type, Any] = {Case: definition.case, Task: task, Learning: learning}
     of = {f.name: kind for kind in owners for f in dataclasses.fields(kind)}
-    known = {*of, *settings(definition, protocol)}
+    of_laws = {name for law in _laws(definition, task).values() for name in _fields(law, "law.")}
+    known = {*of, *settings(definition, protocol), *of_laws}
     for name, value in sorted(overrides.items(), key=lambda item: "." in item[0]):  # a whole, then parts of it
         if name not in known:
             raise ValueError(f"got the setting {name!r}, wanted one of {', '.join(sorted(known))}")
@@ -171,18 +164,18 @@ def override(definition: Definition, protocol: str, overrides: Mapping[str, Any]
 
 def _object(definition: Definition, task: Task, name: str, value: Any) -> Any:
     """Return what a string stands for: a scheme, a reward or a law by its name."""
-    laws = {type(law).__name__.lower(): law for law in _laws(definition, task)}
-    by_name: dict[str, Mapping[str, Any]] = {"scheme": SCHEMES, "reward": definition.rewards, "law": laws}
-    if not isinstance(value, str) or name not in by_name:
+    by_name = {"scheme": SCHEMES, "reward": definition.rewards, "law": _laws(definition, task)}.get(name)
+    if by_name is None or not isinstance(value, str):
         return value
-    if value not in by_name[name]:
-        raise ValueError(f"{name}: got {value!r}, wanted one of {', '.join(by_name[name])}")
-    return by_name[name][value]
+    if value not in by_name:
+        raise ValueError(f"{name}: got {value!r}, wanted one of {', '.join(by_name)}")
+    return by_name[value]
 
 
-def _laws(definition: Definition, task: Task) -> list[Law]:
+def _laws(definition: Definition, task: Task) -> dict[str, Law]:
     """Return the laws that a word can stand for: those without parameters, and those that the case's file has."""
-    return [Linear(), Held(), *(given.law for given, _ in definition.protocols.values()), task.law]
+    laws: list[Law] = [Linear(), Held(), *(given.law for given, _ in definition.protocols.values()), task.law]
+    return {type(law).__name__.lower(): law for law in laws}
 
 
 @dataclass(frozen=True)
@@ -197,7 +190,8 @@ class Setting:
 def settings(definition: Definition, protocol: str = "default") -> dict[str, Setting]:
     """Return every single setting of a case's flow and task by name; those of the learner are fields of `Learning`."""
     case, (task, _) = definition.case, definition.protocol(protocol)
-    rewards = definition.rewards
+    reward = next((name for name, reward in definition.rewards.items() if reward is task.reward), _name(task.reward))
+    points = tuple[tuple[float, float], ...]
     found = _fields(case, "", ("reynolds", "spin_up", "time_step", "scheme")) | _fields(case.sizes, "sizes.")
     found["time_step"] = replace(found["time_step"], value=case.dt, type=float)
     found["scheme"] = replace(found["scheme"], value=case.scheme.name, type=tuple(SCHEMES))
@@ -205,13 +199,11 @@ def settings(definition: Definition, protocol: str = "default") -> dict[str, Set
         found[f"limit.{a.on}"] = Setting(a.limit, float, f"Largest amplitude of {a.on} ({a.unit}).")
     found["limit"] = Setting(None, float | None, "Largest amplitude of every actuator.")
     for s in case.sensors:
-        points = tuple[tuple[float, float], ...]
         found[f"points.{s.name}"] = Setting(s.points, points, f"Points (x, y) of the sensor {s.name}.")
     found |= _fields(task, "", ("interval", "actions", "observe", "reward", "law")) | _fields(task.law, "law.")
-    now = next((name for name, reward in rewards.items() if reward is task.reward), _name(task.reward))
-    found["reward"] = Setting(now, tuple(rewards), "What is rewarded, of what the case's file has.")
-    kinds = tuple(dict.fromkeys(type(law).__name__.lower() for law in _laws(definition, task)))
-    found["law"] = replace(found["law"], value=type(task.law).__name__.lower(), type=kinds)
+    found["reward"] = Setting(reward, tuple(definition.rewards), "What is rewarded, of what the case's file has.")
+    laws = tuple(_laws(definition, task))
+    found["law"] = replace(found["law"], value=type(task.law).__name__.lower(), type=laws)
     return found
 
 
