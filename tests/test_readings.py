@@ -118,9 +118,9 @@ def test_without_the_term_of_the_wall_the_torque_lacks_what_turns_with_it():
     assert share < 0.7
     # the forces of a body need no such term
     for functional in posed.functionals[:2]:
-        facets = posed.space.facets("inner")
-        wall = problem._wall(posed.space, facets, functional.phi, posed.steady, posed.profiles)
-        assert abs(wall).max() < 1e-12
+        wall = problem.Wall(posed.space, posed.space.facets("inner"))
+        for velocity in (*posed.profiles, posed.steady):
+            assert abs(wall.stretching(functional.phi, velocity)) < 1e-12
 
 
 def test_torque_counts_counter_clockwise_and_resists_both_ways():

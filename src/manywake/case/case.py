@@ -25,21 +25,21 @@ class Sizes:
     """Sizes of the triangles, in units of the case's length. The defaults resolve the wake of a cylinder at Re 100."""
 
     body: float = 0.048
-    """Length of the facets of a body."""
+    """Length of the facets of a body, in L."""
     part_facets: int = 2
     """Facets across a part of a body; two resolve a jet's flux to 0.22 % before scaling, one to 4 %."""
     layers: int = 3
     """Layers of quadrilaterals, cut into triangles, that lie around a body like the rings of an onion."""
     layer_height: float = 0.034
-    """Height of the innermost layer."""
+    """Height of the innermost layer, in L."""
     layer_growth: float = 1.25
     """Height of a layer by that of the one within."""
     wake: float = 0.155
-    """Behind the bodies."""
+    """Length of the sides behind the bodies, in L."""
     wake_axis: float | None = None
-    """Height of the wake's axis, about which it is finest; the bodies' middle when not given."""
+    """Height y of the wake's axis, in the case's unit of length; the bodies' middle when not given."""
     far: float = 0.8
-    """Far from the bodies."""
+    """Length of the sides far from the bodies, in L."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ class Exponential:
     alpha: float
     """Share of the way that is gone in `per`, in (0, 1]."""
     per: float
-    """Time that alpha is quoted for."""
+    """Time that alpha is quoted for, in the case's unit of time."""
 
     def __post_init__(self) -> None:
         if not 0 < self.alpha <= 1:

@@ -46,7 +46,7 @@ class Task:
     """Settings of a control task. Times are in the case's unit."""
 
     interval: float
-    """Time between actions, a multiple of the time step."""
+    """Time between actions, in the case's unit of time; a multiple of the time step."""
     actions: int
     """Actions of an episode, its horizon."""
     reward: Reward

@@ -1,8 +1,5 @@
 """Operators in a file, so that a run can go on with these very bits on any machine."""
 
-import json
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -14,6 +11,7 @@ from manywake.flow.operators import Operators, Tables, flatten
 from manywake.machine import disk
 
 _PLAIN = ("velocity_order", "pressure_order", "kinetic")
+_NAMES = ("inputs", "functionals")
 
 
 def arrays(ops: Operators) -> dict[str, np.ndarray]:
@@ -26,15 +24,9 @@ def arrays(ops: Operators) -> dict[str, np.ndarray]:
 
 def save(ops: Operators, path: Path) -> None:
     """Write operators, whole or not at all."""
-    description = {
-        "digest": ops.digest,
-        "free": ops.free,
-        "time_step": ops.time_step,
-        "inputs": ops.inputs,
-        "functionals": ops.functionals,
-        "sensors": {name: field for name, (field, _) in ops.sensors.items()},
-    }
-    named: dict[str, Any] = {"description": np.array(json.dumps(description)), **arrays(ops)}
+    about = {name: getattr(ops, name) for name in ("digest", "free", "time_step", *_NAMES)}
+    about["sensors"] = {name: field for name, (field, _) in ops.sensors.items()}
+    named = disk.packed(about, arrays(ops))
     disk.write(path, lambda file: np.savez(file, **named))
 
 
@@ -42,21 +34,13 @@ def load(path: Path, mesh: Mesh) -> Operators:
     """Read operators on a mesh; ValueError when the file is damaged or of another version."""
     try:
         with np.load(path, allow_pickle=False) as data:
-            about = json.loads(str(data["description"]))
-            ops = Operators(
-                mesh,
-                _gather("tables", Tables, data),
-                free=about["free"],
-                time_step=about["time_step"],
-                inputs=tuple(about["inputs"]),
-                functionals=tuple(about["functionals"]),
-                sensors={
-                    name: (field, _gather(f"sensor:{name}", Rows, data)) for name, field in about["sensors"].items()
-                },
-                **{name: data[name] for name in _PLAIN},
-            )
+            about = disk.description(data)
+            named = {name: data[name] for name in _PLAIN} | {name: tuple(about[name]) for name in _NAMES}
+            sensors = {name: (of, _gather(f"sensor:{name}", Rows, data)) for name, of in about["sensors"].items()}
+            tables, free, time_step = _gather("tables", Tables, data), about["free"], about["time_step"]
+            ops = Operators(mesh, tables, free=free, time_step=time_step, sensors=sensors, **named)
             whole = ops.digest == about["digest"]
-    except (OSError, zipfile.BadZipFile, zlib.error, EOFError, KeyError, ValueError) as error:
+    except disk.DAMAGE as error:
         raise ValueError(f"operators: {path} is damaged or of another version ({error})") from error
     if not whole:
         raise ValueError(f"operators: the content of {path} does not match its hash")
@@ -64,7 +48,7 @@ def load(path: Path, mesh: Mesh) -> Operators:
 
 
 def _gather(name: str, kind, arrays) -> Any:
-    """Return the nested named tuples of type `kind` from their arrays, as `flatten` names them."""
+    """Undo `flatten`, into named tuples of type `kind`."""
     if kind is np.ndarray:
         return arrays[name]
     return kind(*(_gather(f"{name}.{child}", of, arrays) for child, of in get_type_hints(kind).items()))

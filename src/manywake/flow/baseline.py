@@ -1,10 +1,8 @@
 """The baseline of a case, what every run starts from: mesh, start state, time-mean flow, uncontrolled statistics."""
 
 import json
-import zipfile
-import zlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -26,23 +24,21 @@ FORMAT = 2
 MEAN_PERIODS = 12
 SETTLE = 40.0
 """Time for which a street goes on once it is advected with its mean, in L / U."""
-_CHUNK = 50
-_SAMPLE = 10
+_CHUNK, _SAMPLE = 50, 10
 _RECENT = 50.0
 """Time over which the spin-up knows its own C_L, in L / U: a few shedding periods."""
-
+_NUMBERS = ("flow_digest", "geometry_digest", "free", "steady", "recipe")
 Progress = Callable[[str, float], None]
 """progress(what, share done): called now and then by work that takes long."""
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """The uncontrolled flow of one case.
+    """The uncontrolled flow of one case; fields are in scikit-fem's order.
 
     start: the developed street at an upward crossing of C_L. mean: (n, 2) velocity averaged over whole periods, with
-    which `Scheme.mean` advects. shedding: statistics of drag and lift. free: mean of each reading by name, without
-    control. steady: readings of the steady base flow, the drag that remains with all shedding gone. All fields are in
-    scikit-fem's order.
+    which `Scheme.mean` advects. free: mean of each reading by name, without control. steady: readings of the steady
+    base flow, the drag that remains with all shedding gone.
     """
 
     flow_digest: str
@@ -56,28 +52,17 @@ class Baseline:
     recipe: str
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return everything but the description as named arrays."""
-        named = {f"start_{f.name}": getattr(self.start, f.name) for f in fields(Start)}
+        named = {f"start_{name}": part for name, part in vars(self.start).items()}
         named |= {f"boundary_{name}": facets.astype(np.int32) for name, facets in self.mesh.boundaries.items()}
-        return named | {
-            "points": self.mesh.points,
-            "triangles": self.mesh.triangles.astype(np.int32),
-            "mean": self.mean,
-        }
+        named |= {"points": self.mesh.points, "triangles": self.mesh.triangles.astype(np.int32)}
+        return named | {"mean": self.mean}
 
     def numbers(self) -> dict[str, Any]:
         """Return everything that is no array, as plain data."""
-        return {
-            "flow_digest": self.flow_digest,
-            "geometry_digest": self.geometry_digest,
-            "shedding": asdict(self.shedding),
-            "free": self.free,
-            "steady": self.steady,
-            "recipe": self.recipe,
-        }
+        return {name: getattr(self, name) for name in _NUMBERS} | {"shedding": vars(self.shedding)}
 
     def digest(self) -> str:
-        """Return the hash of the content: two baselines with the same digest start every run from the same bits."""
+        """Return a hash: two baselines with the same start every run from the same bits."""
         numbers = json.dumps(self.numbers(), sort_keys=True).encode()
         return disk.digest(self.arrays() | {"numbers": np.frombuffer(numbers, np.uint8)})
 
@@ -94,17 +79,16 @@ def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None)
     """
     if not case.bodies:
         raise ValueError("baseline: got a case without a body, wanted one whose lift tells how far its shedding is")
-    report = progress or (lambda what, share: None)
+    report, unit = progress or (lambda what, share: None), case.convective_time
     report("mesh", 0.0)
     posed = problem.pose(case, meshes.build(case) if mesh is None else mesh)
     report("steady flow", 0.0)
     base = steady.solve(case, posed)
     ops = assemble(case, posed, base.u)
-    flow, unit = FlowBatch(ops, kicked(case, ops), 1), case.convective_time
+    flow, advecting = FlowBatch(ops, kicked(case, ops), 1), None
     recent = min(_RECENT, 2 / 3 * case.spin_up)  # before that it is the kick that dies down
     c_l = _develop(flow, case.spin_up * unit, recent * unit, report, "spin-up")
     recipe = f"format {FORMAT}; kicked rest, over {case.spin_up:g} L/U in steps of {case.dt:g} ({case.scheme.name})"
-    advecting = None
     if case.scheme.mean:
         advecting, _ = _average(flow, c_l, report, "mean flow")
         flow = FlowBatch(assemble(case, posed, advecting), flow.state(0), 1)
@@ -114,16 +98,13 @@ def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None)
     start = flow.state(0)
     mean, record = _average(flow, c_l, report, "mean flow" if advecting is None else "statistics")
     recipe += f", stopped at an upward crossing of C_L; means sample every {_SAMPLE}th step; steady flow by Newton"
-    return Baseline(
-        describe.flow_digest(case),
-        describe.geometry_digest(case),
-        posed.space.mesh,
-        start,
+    statistic, free = uncontrolled(record, case.dt)
+    mean, digests = (
         mean if advecting is None else advecting,
-        *uncontrolled(record, case.dt),
-        base.readings | {"power": 0.0},
-        recipe,
+        (describe.flow_digest(case), describe.geometry_digest(case)),
     )
+    still = base.readings | {"power": 0.0}
+    return Baseline(*digests, posed.space.mesh, start, mean, statistic, free, still, recipe)
 
 
 def uncontrolled(record: dict[str, np.ndarray], time_step: float) -> tuple[Shedding, dict[str, float]]:
@@ -140,20 +121,16 @@ def clock(record: dict[str, np.ndarray]) -> np.ndarray:
 
 def _develop(flow: FlowBatch, duration: float, recent: float, report: Progress, what: str) -> np.ndarray:
     """Advance an uncontrolled flow; return its C_L over the time `recent`, the last."""
-    time_step = flow.ops.time_step
-    steps = int(round(duration / time_step))
-    done, c_l = 0, np.zeros(0)
-    while done < steps:
-        c_l = np.concatenate([c_l, clock(free_run(flow, _CHUNK))])[-int(recent / time_step) :]
-        done += _CHUNK
-        report(what, min(done / steps, 1.0))
+    steps, c_l = round(duration / flow.ops.time_step), np.zeros(0)
+    for done in range(0, steps, _CHUNK):
+        c_l = np.concatenate([c_l, clock(free_run(flow, _CHUNK))])[-int(recent / flow.ops.time_step) :]
+        report(what, min((done + _CHUNK) / steps, 1.0))
     return c_l
 
 
 def _to_crossing(flow: FlowBatch, c_l: np.ndarray) -> None:
     """Advance to the next upward crossing of the middle of C_L, step by step: a state of defined phase."""
-    level = 0.5 * (c_l.max() + c_l.min())
-    previous = c_l[-1]
+    level, previous = 0.5 * (c_l.max() + c_l.min()), c_l[-1]
     for _ in range(5 * len(c_l)):
         now = clock(free_run(flow, 1))[0]
         if previous < level <= now:
@@ -164,17 +141,15 @@ def _to_crossing(flow: FlowBatch, c_l: np.ndarray) -> None:
 
 def _average(flow: FlowBatch, c_l: np.ndarray, report: Progress, what: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Advance over MEAN_PERIODS; return the mean velocity (n, 2), and the readings (steps,) of a little more."""
-    time_step = flow.ops.time_step
-    period = statistics.shedding(c_l, c_l, time_step).period
-    wanted = int(round(MEAN_PERIODS * period / time_step / _SAMPLE)) * _SAMPLE
-    total, samples, series = np.zeros((len(flow.ops.velocity_order), 2)), 0, []
-    for k in range(0, wanted + 2 * _SAMPLE, _SAMPLE):
+    period = statistics.shedding(c_l, c_l, flow.ops.time_step).period
+    samples = round(MEAN_PERIODS * period / flow.ops.time_step / _SAMPLE)
+    total, series = np.zeros((len(flow.ops.velocity_order), 2)), []
+    for k in range(samples + 2):
         series.append(free_run(flow, _SAMPLE))
-        if k < wanted:
+        if k < samples:
             total += flow.state(0).u
-            samples += 1
-        report(what, min(k / wanted, 1.0))
-    return total / samples, {name: np.concatenate([part[name] for part in series]) for name in series[0]}
+        report(what, min(k / samples, 1.0))
+    return total / samples, readings.joined(series)
 
 
 def free_run(flow: FlowBatch, steps: int) -> dict[str, np.ndarray]:
@@ -185,40 +160,28 @@ def free_run(flow: FlowBatch, steps: int) -> dict[str, np.ndarray]:
 
 def kicked(case: Case, ops: Operators) -> Start:
     """Return fluid at rest but for an upward gust behind the bodies, so that shedding sets in at once."""
-    x, y = ops.space.x.T
-    n, m = len(x), ops.space.pressure_stiffness.shape[0]
-    length, speed = case.scales.length, case.scales.velocity
+    (x, y), length = ops.space.x.T, case.scales.length
     around = np.concatenate([outline(body) for body in case.bodies])
     (_, low), (back, high) = around.min(axis=0), around.max(axis=0)
     distance = (x - back - length) ** 2 + (y - 0.5 * (low + high)) ** 2
-    u = np.zeros((n, 2))
-    u[:, 1] = 0.3 * speed * np.exp(-distance / (0.5 * length) ** 2)
+    u = np.stack([np.zeros_like(x), 0.3 * case.scales.velocity * np.exp(-distance / (0.5 * length) ** 2)], axis=1)
     u[ops.velocity_order[ops.free :]] = 0.0
-    return Start(u, u.copy(), np.zeros(m), np.zeros(m), np.zeros(m))
+    return Start(u, u.copy(), *np.zeros((3, len(ops.pressure_order))))
 
 
 def phases(ops: Operators, baseline: Baseline, count: int) -> list[Start]:
     """Return `count` states of the uncontrolled flow, spread evenly over one shedding period from the start state."""
-    flow = FlowBatch(ops, baseline.start, 1)
-    period = baseline.shedding.period / ops.time_step
-    states, done = [], 0
-    for k in range(count):
-        wanted = int(round(k * period / count))
-        if wanted > done:
-            free_run(flow, wanted - done)
-            done = wanted
+    flow, period, states = FlowBatch(ops, baseline.start, 1), baseline.shedding.period / ops.time_step, []
+    for steps in np.diff([round(k * period / count) for k in range(count)], prepend=0):
+        free_run(flow, steps)
         states.append(flow.state(0))
     return states
 
 
 def save(baseline: Baseline, path: Path) -> None:
     """Write a baseline atomically: either the whole file is there or none."""
-    description = baseline.numbers() | {"digest": baseline.digest()}
-    named: dict[str, Any] = {"description": np.array(json.dumps(description)), **baseline.arrays()}
+    named = disk.packed(baseline.numbers() | {"digest": baseline.digest()}, baseline.arrays())
     disk.write(path, lambda file: np.savez_compressed(file, **named))
-
-
-_DAMAGE = (OSError, zipfile.BadZipFile, zlib.error, EOFError, KeyError, TypeError, ValueError)
 
 
 def load(path: Path, case: Case) -> Baseline:
@@ -235,36 +198,27 @@ def read(path: Path, case: Case) -> Baseline:
     """Read a baseline on the geometry of a case, of whichever flow it is."""
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
-            about = json.loads(str(data["description"]))
+            about = disk.description(data)
+            names = [key.removeprefix("boundary_") for key in data.files if key.startswith("boundary_")]
+            boundaries = {name: data[f"boundary_{name}"].astype(np.int64) for name in names}
             found = Baseline(
-                about["flow_digest"],
-                about["geometry_digest"],
-                _mesh(data, case),
-                Start(**{f.name: data[f"start_{f.name}"] for f in fields(Start)}),
-                data["mean"],
-                Shedding(**about["shedding"]),
-                about["free"],
-                about["steady"],
-                about["recipe"],
+                mesh=Mesh(data["points"], data["triangles"].astype(np.int64), boundaries, meshes.curves(case, names)),
+                start=Start(**{f.name: data[f"start_{f.name}"] for f in fields(Start)}),
+                mean=data["mean"],
+                shedding=Shedding(**about["shedding"]),
+                **{name: about[name] for name in _NUMBERS},
             )
-    except _DAMAGE as error:
+    except disk.DAMAGE as error:
         raise ValueError(f"baseline: {path} is damaged ({error}); delete the file and run again") from error
     if found.digest() != about["digest"]:
         raise ValueError(f"baseline: the content of {path} does not match its hash; delete the file and run again")
     return found
 
 
-def _mesh(data, case: Case) -> Mesh:
-    boundaries = {
-        key.removeprefix("boundary_"): data[key].astype(np.int64) for key in data.files if key.startswith("boundary_")
-    }
-    return Mesh(data["points"], data["triangles"].astype(np.int64), boundaries, meshes.curves(case, list(boundaries)))
-
-
 def description(path: Path) -> dict[str, Any]:
     """Return the numbers of a baseline file, without its arrays; empty when it is damaged."""
     try:
         with np.load(path, allow_pickle=False) as data:
-            return json.loads(str(data["description"]))
-    except _DAMAGE:
+            return disk.description(data)
+    except disk.DAMAGE:
         return {}

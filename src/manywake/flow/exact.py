@@ -22,22 +22,22 @@ from manywake.flow.problem import Problem
 K = 2 * np.pi
 STREAM = np.array([1.0, 0.7])
 DURATION = 0.06
-"""In units of the time the stream takes across the square; a hundred steps of 6e-4."""
+"""A hundred steps of 6e-4."""
 VISCOSITY = 0.01
 """So that convection, pressure and friction all matter on the square."""
 BELLS = np.array([[0.05 * np.cos(a), 0.05 * np.sin(a), 0.05 * np.radians(10.0), 1.8] for a in np.pi / 2 * np.arange(4)])
 """Damping acts at the corner of the square as around a body with jets, so that its order in time shows too."""
 
 
-def velocity(x: np.ndarray, t: float, viscosity: float = VISCOSITY) -> np.ndarray:
+def velocity(x: np.ndarray, t: float) -> np.ndarray:
     """Return the exact velocity (n, 2) at points (n, 2)."""
-    return STREAM + np.tensordot(rates(np.array([t]), viscosity)[0], profiles(x), 1)
+    return STREAM + np.tensordot(rates(np.array([t]))[0], profiles(x), 1)
 
 
-def pressure(x: np.ndarray, t: float, viscosity: float = VISCOSITY) -> np.ndarray:
+def pressure(x: np.ndarray, t: float) -> np.ndarray:
     """Return the exact pressure (n,) at points (n, 2), of zero mean over the square."""
     X, Y = (K * (x - STREAM * t)).T
-    return -0.25 * np.exp(-4 * viscosity * K**2 * t) * (np.cos(2 * X) + np.cos(2 * Y))
+    return -0.25 * np.exp(-4 * VISCOSITY * K**2 * t) * (np.cos(2 * X) + np.cos(2 * Y))
 
 
 def profiles(x: np.ndarray) -> np.ndarray:
@@ -47,10 +47,10 @@ def profiles(x: np.ndarray) -> np.ndarray:
     return np.array([np.stack(pair, axis=1) for pair in pairs])
 
 
-def rates(t: np.ndarray, viscosity: float = VISCOSITY) -> np.ndarray:
+def rates(t: np.ndarray) -> np.ndarray:
     """Return the time functions (steps, 4) that go with `profiles`."""
     (ca, cb), (sa, sb) = np.cos(K * np.outer(STREAM, t)), np.sin(K * np.outer(STREAM, t))
-    return (np.exp(-2 * viscosity * K**2 * t) * np.array([ca * cb, ca * sb, sa * cb, sa * sb])).T
+    return (np.exp(-2 * VISCOSITY * K**2 * t) * np.array([ca * cb, ca * sb, sa * cb, sa * sb])).T
 
 
 def square(level: int) -> Mesh:
@@ -70,43 +70,38 @@ def solve(level: int, time_step: float, scheme: Scheme = BDF2) -> tuple[Operator
     steady, shapes = np.zeros_like(spaces.x), np.zeros((4, *spaces.x.shape))
     steady[fixed] = STREAM
     shapes[:, fixed] = profiles(spaces.x[fixed])
-    inputs = tuple(f"vortex {k}" for k in range(4))
-    posed = Problem(spaces, fixed, steady, inputs, shapes, np.array([0]), bells=BELLS, kinetic=np.zeros(4))
+    inputs, none = tuple(f"vortex {k}" for k in range(4)), np.zeros(4)
+    posed = Problem(spaces, fixed, steady, np.array([0]), (), BELLS, inputs, shapes, none, none)
     ops = operators.assemble(posed, scheme, dt, VISCOSITY, np.tile(STREAM, (len(spaces.x), 1)))
     p = [pressure(spaces.mesh.points, -k * dt) for k in range(3)]
     p = [q - q[0] for q in p]
     start = Start(velocity(spaces.x, 0.0), velocity(spaces.x, -dt), p[0], p[0] - p[1], p[1] - p[2])
     flow = FlowBatch(ops, start, 1)
-    steps = round(DURATION / dt)
-    flow.advance(rates(dt * np.arange(1, steps + 1))[:, :, None])
+    flow.advance(rates(dt * np.arange(1, round(DURATION / dt) + 1))[:, :, None])
     return ops, flow.state(0)
 
 
 def errors(ops: Operators, state: Start) -> tuple[float, float]:
     """Return the L2 errors of velocity and pressure (up to a constant) at DURATION."""
     fine = skfem.Basis(ops.space.velocity.mesh, skfem.ElementTriP2(), intorder=8)
-    points = np.asarray(fine.global_coordinates()).reshape(2, -1).T
-    shape, weight = fine.dx.shape, fine.dx
-    u = velocity(points, DURATION)
-    squares = sum((np.asarray(fine.interpolate(state.u[:, c])) - u[:, c].reshape(shape)) ** 2 for c in range(2))
+    points, weight = np.asarray(fine.global_coordinates()).reshape(2, -1).T, fine.dx
+    exact = velocity(points, DURATION).T.reshape(2, *weight.shape)
+    squares = sum((np.asarray(fine.interpolate(u)) - wanted) ** 2 for u, wanted in zip(state.u.T, exact, strict=True))
     e = np.asarray(fine.with_element(skfem.ElementTriP1()).interpolate(state.p))
-    e = e - pressure(points, DURATION).reshape(shape)
+    e = e - pressure(points, DURATION).reshape(weight.shape)
     e = e - np.sum(e * weight) / np.sum(weight)
     return float(np.sqrt(np.sum(squares * weight))), float(np.sqrt(np.sum(e**2 * weight)))
 
 
-def orders_in_space(levels: tuple[int, int] = (3, 4), time_step: float = 3e-4) -> tuple[float, float]:
+def orders_in_space() -> tuple[float, float]:
     """Return the observed orders of velocity and pressure (L2) between two meshes at one small time step."""
-    (u0, p0), (u1, p1) = (errors(*solve(level, time_step)) for level in levels)
-    cuts = levels[1] - levels[0]
-    return float(np.log2(u0 / u1) / cuts), float(np.log2(p0 / p1) / cuts)
+    (u0, p0), (u1, p1) = (errors(*solve(level, 3e-4)) for level in (3, 4))
+    return float(np.log2(u0 / u1)), float(np.log2(p0 / p1))
 
 
-def order_in_time(scheme: Scheme = BDF2, level: int = 3) -> float:
+def order_in_time(scheme: Scheme) -> float:
     """Return the observed order of velocity (L2) from three runs at dt, dt/2 and dt/4 on one mesh."""
-    time_step = 1.2e-3 if scheme.mean else 6e-4
-    runs = [solve(level, time_step / 2**k, scheme) for k in range(3)]
-    mass = runs[0][0].space.mass
-    differences = [a[1].u - b[1].u for a, b in zip(runs, runs[1:], strict=False)]
-    first, second = (float(np.sum(d * (mass @ d))) ** 0.5 for d in differences)
+    runs = [solve(3, (1.2e-3 if scheme.mean else 6e-4) / 2**k, scheme) for k in range(3)]
+    mass, (a, b, c) = runs[0][0].space.mass, (state.u for _, state in runs)
+    first, second = (float(np.sum(d * (mass @ d))) ** 0.5 for d in (a - b, b - c))
     return float(np.log2(first / second))

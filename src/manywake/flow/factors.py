@@ -1,6 +1,7 @@
 """Sparse matrices as the kernels read them: rows, and triangular factors cut into panels."""
 
-from typing import NamedTuple
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,10 +23,9 @@ class Panels(NamedTuple):
     """L D U with unit triangles L and U, in panels of neighbouring columns that share the rows below them.
 
     Panel p has the columns first[p] ... first[p + 1] and the rows row[row_start[p]] ...; its entries begin at
-    lower_start[p], row by row, all columns of a row together: of L in `lower`, of U in `upper` (transposed). Zeros are
-    stored where that saves a panel. lower_corner, upper_corner: (panels, 6), the triangle on the diagonal, of L by
-    rows, of U by columns. All entries are stored with their signs turned. Of a symmetric matrix `upper` is empty: it
-    is `lower`.
+    lower_start[p], row by row, all columns of a row together: of L in `lower`, of U in `upper` (transposed, and empty
+    for a symmetric matrix: it is `lower`), with turned signs, and zeros where that saves a panel. lower_corner,
+    upper_corner: (panels, 6), the triangle on the diagonal, of L by rows, of U by columns, with turned signs.
     """
 
     first: np.ndarray
@@ -66,12 +66,8 @@ def factor(matrix: sp.spmatrix) -> tuple[Panels, np.ndarray]:
 
     SuperLU in symmetric mode with a minimum-degree ordering, no pivoting: the symmetric part is positive definite.
     """
-    lu = splu(
-        sp.csc_matrix(matrix),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+    how: Any = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+    lu = splu(sp.csc_matrix(matrix), **how)
     if not np.array_equal(lu.perm_r, lu.perm_c):
         raise RuntimeError("factor: SuperLU pivoted, so the matrix is not positive definite; check mesh and viscosity")
     diagonal = lu.U.diagonal()
@@ -83,48 +79,31 @@ def factor(matrix: sp.spmatrix) -> tuple[Panels, np.ndarray]:
 
 def panels(lower: sp.csc_matrix, upper: sp.csc_matrix, diagonal: np.ndarray) -> Panels:
     """Cut strict triangles into panels; `upper` is U transposed, the very `lower` for a symmetric matrix."""
-    n = len(diagonal)
     pattern = sp.csc_matrix(abs(lower).sign() + abs(upper).sign())
     pattern.eliminate_zeros()
     pattern.sort_indices()
-    below = [pattern.indices[pattern.indptr[j] : pattern.indptr[j + 1]] for j in range(n)]
-    first, shared = _cut(below)
-    row_start = np.concatenate([[0], np.cumsum([len(part) for part in shared])])
-    widths = np.diff(first)
-    lower_start = np.concatenate([[0], np.cumsum([len(part) * w for part, w in zip(shared, widths, strict=True)])])
-    row = np.concatenate([*shared, np.empty(0, int)]).astype(np.uint32)
+    first, shared = _cut(np.split(pattern.indices, pattern.indptr[1:-1]))
+    widths, heights = np.diff(first), np.array([len(part) for part in shared])
+    row_start, lower_start = (np.concatenate([[0], np.cumsum(size)]) for size in (heights, heights * widths))
     # place of every entry: (row, column) of the panels' blocks, and of their corners
-    block_row = np.concatenate(
-        [*(np.repeat(part, w) for part, w in zip(shared, widths, strict=True)), np.empty(0, int)]
-    )
-    block_column = np.concatenate(
-        [*(np.tile(np.arange(first[p], first[p + 1]), len(part)) for p, part in enumerate(shared)), np.empty(0, int)]
-    )
+    block_row = np.concatenate([np.repeat(rows, width) for rows, width in zip(shared, widths, strict=True)])
+    columns = zip(pairwise(first), heights, strict=True)
+    block_column = np.concatenate([np.tile(np.arange(*ends), height) for ends, height in columns])
     i, j = np.tril_indices(PANEL, -1)
     inside = i[None] < widths[:, None]
     corner_row, corner_column = first[:-1, None] + i, first[:-1, None] + j
 
     def take(matrix):
-        matrix = sp.csr_matrix(matrix)
-        block = _entries(matrix, block_row.astype(int), block_column.astype(int))
         corner = np.zeros(inside.shape)
         corner[inside] = _entries(matrix, corner_row[inside], corner_column[inside])
-        return -block, -corner
+        return -_entries(matrix, block_row, block_column), -corner
 
-    (lower_block, lower_corner), (upper_block, upper_corner) = take(lower), take(upper)
+    (lower_block, lower_corner), (upper_block, upper_corner) = (take(sp.csr_matrix(part)) for part in (lower, upper))
     if upper is lower:
         upper_block = np.empty(0)
-    return Panels(
-        first.astype(np.uint32),
-        row_start.astype(np.uint32),
-        row,
-        lower_start.astype(np.uint32),
-        lower_block,
-        upper_block,
-        lower_corner,
-        upper_corner,
-        1.0 / diagonal,
-    )
+    first, row_start, lower_start = (places.astype(np.uint32) for places in (first, row_start, lower_start))
+    row, corners = np.concatenate(shared).astype(np.uint32), (lower_corner, upper_corner)
+    return Panels(first, row_start, row, lower_start, lower_block, upper_block, *corners, 1.0 / diagonal)
 
 
 def _cut(below: list[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -148,7 +127,7 @@ def _cut(below: list[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
         first.append(first[-1] - choice[first[-1]])
     first.reverse()
     shared_rows = []
-    for begin, end in zip(first, first[1:], strict=False):
+    for begin, end in pairwise(first):
         union = np.unique(np.concatenate(below[begin:end]))
         shared_rows.append(union[union >= end])
     return np.array(first), shared_rows

@@ -18,23 +18,22 @@ from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.operators import Operators
 from manywake.flow.space import Space
 from manywake.flow.store import Flow
-from manywake.machine import disk
 
 FREE = "no control"
 
 
 def names(reference: Forced) -> list[str]:
     """Return what the forcings are called, no control first."""
-    sines = [f"Q = {a:g} sin(2 pi {f:g} t)" for a, f, _ in reference.harmonic]
-    return [FREE, *(f"Q = {a:g}" for a in reference.steady), *sines]
+    return list(_forcings(reference, np.zeros(1)))
 
 
-def _columns(reference: Forced, t: np.ndarray) -> list[list[np.ndarray]]:
-    """Return the amplitudes (steps,) of the first input under each forcing, a flow each."""
-    sines = [
-        [a * np.sin(2 * np.pi * (f * t + k / phases)) for k in range(phases)] for a, f, phases in reference.harmonic
-    ]
-    return [[0.0 * t], *([0.0 * t + a] for a in reference.steady), *sines]
+def _forcings(reference: Forced, t: np.ndarray) -> dict[str, list[np.ndarray]]:
+    """Return the amplitudes (steps,) of the first input under each forcing by name, a flow each."""
+    found = {FREE: [0.0 * t]} | {f"Q = {a:g}": [0.0 * t + a] for a in reference.steady}
+    for a, f, phases in reference.harmonic:
+        sines = [a * np.sin(2 * np.pi * (f * t + k / phases)) for k in range(phases)]
+        found[f"Q = {a:g} sin(2 pi {f:g} t)"] = sines
+    return found
 
 
 def run(
@@ -43,15 +42,14 @@ def run(
     """Run all forcings side by side; return the readings by name, (steps, B). mixing: (inputs,) of the first action."""
     dt = ops.time_step
     t = dt * np.arange(1, round(reference.duration / dt) + 1)
-    first = np.stack([series for columns in _columns(reference, t) for series in columns], axis=1)
+    first = np.stack([series for columns in _forcings(reference, t).values() for series in columns], axis=1)
     amplitudes = np.stack([share / mixing[0] * first for share in mixing], axis=1)
-    flow = FlowBatch(ops, start, first.shape[1])
-    record = []
+    flow, record = FlowBatch(ops, start, first.shape[1]), []
     for k in range(0, len(t), 1000):
         report(what, k / len(t))
         chunk = amplitudes[k : k + 1000]
         record.append(readings.named(ops, flow.advance(chunk), chunk))
-    return {name: np.concatenate([part[name] for part in record]) for name in ("c_d", "c_l")}
+    return readings.joined(record)
 
 
 def changes(record: dict[str, np.ndarray], reference: Forced, time_step: float) -> dict[str, dict[str, float]]:
@@ -60,18 +58,16 @@ def changes(record: dict[str, np.ndarray], reference: Forced, time_step: float) 
     Means are over all that follows `settle`, weighted by sin^4, and over the columns of a forcing: the window's ends
     are smooth, so that no shedding period need be known.
     """
-    first = round(reference.settle / time_step)
-    c_d, c_l = record["c_d"][first:], record["c_l"][first:]
+    c_d, c_l = (record[name][round(reference.settle / time_step) :] for name in ("c_d", "c_l"))
     w = np.sin(np.pi * (np.arange(len(c_d)) + 0.5) / len(c_d)) ** 4
     w /= w.sum()
     drag, lift, square = w @ c_d, w @ c_l, w @ c_l**2
     table, column = {}, 0
-    for name, columns in zip(names(reference), _columns(reference, np.zeros(1)), strict=True):
+    for name, columns in _forcings(reference, np.zeros(1)).items():
         mine = slice(column, column + len(columns))
         column += len(columns)
-        values = {"mean C_D": float(drag[mine].mean()), "mean C_L": float(lift[mine].mean())}
-        values["rms C_L"] = float(np.sqrt(square[mine].mean()))
-        table[name] = values
+        means = drag[mine].mean(), lift[mine].mean(), np.sqrt(square[mine].mean())
+        table[name] = dict(zip(("mean C_D", "mean C_L", "rms C_L"), map(float, means), strict=True))
     free = table.pop(FREE)
     return {
         name: {key: values[key] - free[key] for key in ("mean C_D", "rms C_L" if "sin" in name else "mean C_L")}
@@ -81,24 +77,18 @@ def changes(record: dict[str, np.ndarray], reference: Forced, time_step: float) 
 
 def fine(flow: Flow, reference: Forced, mixing: np.ndarray, report: Progress) -> dict[str, Any]:
     """Compute the controlled flows on the refined mesh at half the time step, second order in time (10 minutes)."""
-    case, ops, base = flow.case, flow.operators, flow.baseline
-    mesh = meshes.refine(base.mesh)
+    case, space, base = flow.case, flow.operators.space, flow.baseline
     scheme = BDF2 if case.scheme == GODA else case.scheme
     chosen = replace(case, time_step=case.dt / 2, scheme=scheme)
-    posed = problem.pose(chosen, mesh)
-    refined = baseline.assemble(chosen, posed, moved(ops.space, posed.space.x) @ base.mean)
-    start = interpolate(ops.space, base.start, refined)
-    record = run(refined, start, reference, mixing, report, "fine reference")
-    return {
-        "recipe": (
-            f"manywake.flow.forced.fine: every triangle of the mesh cut into four ({len(mesh.triangles)} "
-            f"triangles), time step {chosen.dt:g}, {scheme.name}; the case's start state interpolated, then "
-            f"{reference.duration:g} units of time; changes are means with a sin^4 window over all but the first "
-            f"{reference.settle:g}"
-        ),
-        **_identity(flow, reference),
-        "changes": changes(record, reference, chosen.dt),
-    }
+    posed = problem.pose(chosen, meshes.refine(base.mesh))
+    refined = baseline.assemble(chosen, posed, moved(space, posed.space.x) @ base.mean)
+    record = run(refined, interpolate(space, base.start, refined), reference, mixing, report, "fine reference")
+    recipe = (
+        f"manywake.flow.forced.fine: every triangle of the mesh cut into four ({len(refined.mesh.triangles)} triangles)"
+        f", time step {chosen.dt:g}, {scheme.name}; the case's start state interpolated, then {reference.duration:g} "
+        f"units of time; changes are means with a sin^4 window over all but the first {reference.settle:g}"
+    )
+    return {"recipe": recipe, **_identity(flow, reference), "changes": changes(record, reference, chosen.dt)}
 
 
 def kept(flow: Flow, reference: Forced, path: Path) -> dict[str, Any]:
@@ -115,20 +105,9 @@ def kept(flow: Flow, reference: Forced, path: Path) -> dict[str, Any]:
     return found
 
 
-def write(path: Path, found: dict[str, Any]) -> None:
-    """Write a fine reference, to be kept beside the case's file."""
-    disk.write(path, lambda file: file.write(json.dumps(found, indent=1).encode()))
-
-
 def _identity(flow: Flow, reference: Forced) -> dict[str, Any]:
-    return {
-        "mesh": flow.baseline.mesh.digest(),
-        "reynolds": flow.case.reynolds,
-        "time_step": flow.case.dt,
-        "duration": reference.duration,
-        "settle": reference.settle,
-        "forcings": names(reference),
-    }
+    found = {"mesh": flow.baseline.mesh.digest(), "reynolds": flow.case.reynolds, "time_step": flow.case.dt}
+    return found | {"duration": reference.duration, "settle": reference.settle, "forcings": names(reference)}
 
 
 def interpolate(space: Space, start: Start, fine: Operators) -> Start:

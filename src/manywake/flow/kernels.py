@@ -21,10 +21,8 @@ def _quadrature() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         weights += [w] * 3
     corner = np.array(points)
     l0, l1, l2 = corner.T
-    node = np.stack(
-        [l0 * (2 * l0 - 1), l1 * (2 * l1 - 1), l2 * (2 * l2 - 1), 4 * l0 * l1, 4 * l1 * l2, 4 * l0 * l2], axis=1
-    )
-    return corner, node, np.array(weights)
+    vertices, edges = [at * (2 * at - 1) for at in corner.T], [4 * l0 * l1, 4 * l1 * l2, 4 * l0 * l2]
+    return corner, np.stack([*vertices, *edges], axis=1), np.array(weights)
 
 
 CORNER, NODE, WEIGHT = _quadrature()
@@ -35,9 +33,9 @@ _C_CORNER, _C_EDGE, _C_WEIGHT = (float(x) for x in (NODE[0, 0], NODE[0, 3], WEIG
 def _orbit_rule(q: int) -> tuple[float, ...]:
     """Return what `_orbit` needs of three points that differ by a turn of the triangle, the first of which is q.
 
-    P2 function of the two corners that the point does not belong to; what that of its own corner has beyond it; that of
-    the edges at that corner; what that of the opposite edge has beyond it. P1 function of the other corners; what
-    that of its own has beyond it. Weight.
+    P2 function of the corners that the point does not belong to, what that of its own has beyond it; that of the edges
+    at that corner, what that of the opposite edge has beyond it; P1 function of the other corners, what that of its own
+    has beyond it; weight.
     """
     other, near, slope = NODE[q, 1], NODE[q, 3], CORNER[q, 1]
     values = other, NODE[q, 0] - other, near, NODE[q, 4] - near, slope, CORNER[q, 0] - slope, WEIGHT[q]
@@ -63,20 +61,11 @@ def _orbit(inverse, t, q0, q1, q2, rule, nodal, xi, eta):
     a, b, c, ab, bc, ca, corners, edges = nodal
     base = fma(near, edges, mul(other, corners))
     base_xi, base_eta = mul(slope, xi[3]), mul(slope, eta[3])
-    return (
-        _along(
-            inverse, t, q0, weight, fma(far, bc, fma(own, a, base)),
-            fma(turn, xi[0], base_xi), fma(turn, eta[0], base_eta),
-        ),
-        _along(
-            inverse, t, q1, weight, fma(far, ca, fma(own, b, base)),
-            fma(turn, xi[1], base_xi), fma(turn, eta[1], base_eta),
-        ),
-        _along(
-            inverse, t, q2, weight, fma(far, ab, fma(own, c, base)),
-            fma(turn, xi[2], base_xi), fma(turn, eta[2], base_eta),
-        ),
-    )  # fmt: skip
+    at_a = fma(far, bc, fma(own, a, base)), fma(turn, xi[0], base_xi), fma(turn, eta[0], base_eta)
+    at_b = fma(far, ca, fma(own, b, base)), fma(turn, xi[1], base_xi), fma(turn, eta[1], base_eta)
+    at_c = fma(far, ab, fma(own, c, base)), fma(turn, xi[2], base_xi), fma(turn, eta[2], base_eta)
+    fa, fb = _along(inverse, t, q0, weight, *at_a), _along(inverse, t, q1, weight, *at_b)
+    return fa, fb, _along(inverse, t, q2, weight, *at_c)
 
 
 @kernel

@@ -1,11 +1,8 @@
 """Triangle meshes of any case, built by gmsh. Baselines (.npz) keep them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -18,9 +15,8 @@ from manywake.machine import disk
 class Mesh:
     """Triangles with named boundaries, straight but for the facets of curved bodies.
 
-    points: (n, 2) vertices. triangles: (e, 3) vertex numbers, counter-clockwise. boundaries: name -> (f, 2) vertex
-    numbers of its facets; names are those of the case's sides and pieces. curves: name of a boundary -> the body whose
-    curve its facets follow; those without one are straight.
+    points: (n, 2) vertices. triangles: (e, 3) vertex numbers, counter-clockwise. boundaries: name of a side or a piece
+    -> (f, 2) vertex numbers of its facets. curves: name of a boundary -> the body whose curve its facets follow.
     """
 
     points: np.ndarray
@@ -37,7 +33,6 @@ class Mesh:
         return np.concatenate([facets for facets, _ in parts]), np.concatenate(x)
 
     def digest(self) -> str:
-        """Return a hash of the mesh's content."""
         return disk.digest({"points": self.points, "triangles": self.triangles, **self.boundaries})
 
 
@@ -57,38 +52,27 @@ def build(case: Case) -> Mesh:
         ) from error
     gmsh.initialize(interruptible=False)
     try:
-        for option, value in _OPTIONS.items():
+        for option, value in (_REPEATABLE | _SIZED_BY_FIELD | _QUALITY).items():
             gmsh.option.setNumber(option, value)
         return _build(gmsh, case)
     finally:
         gmsh.finalize()
 
 
-_OPTIONS = {
-    "General.Terminal": 0,
-    "General.NumThreads": 1,
-    "Mesh.MeshSizeExtendFromBoundary": 0,
-    "Mesh.MeshSizeFromPoints": 0,
-    "Mesh.Algorithm": 6,
-    "Mesh.RandomSeed": 1,
-    "Mesh.Optimize": 1,
-    "Mesh.Smoothing": 10,
-}
+_REPEATABLE = {"General.Terminal": 0, "General.NumThreads": 1, "Mesh.RandomSeed": 1}
+_SIZED_BY_FIELD = {"Mesh.MeshSizeExtendFromBoundary": 0, "Mesh.MeshSizeFromPoints": 0}
+_QUALITY = {"Mesh.Algorithm": 6, "Mesh.Optimize": 1, "Mesh.Smoothing": 10}
 
 
 def _build(gmsh, case: Case) -> Mesh:
-    geo, holes = gmsh.model.geo, []
-    groups: dict[str, list[int]] = {}
-    sides = case.domain.sides()
+    geo, sides, holes = gmsh.model.geo, case.domain.sides(), []
     corners = [geo.addPoint(*side.start, 0) for side in sides]
     lines = [geo.addLine(corners[k], corners[(k + 1) % len(sides)]) for k in range(len(sides))]
-    for side, line in zip(sides, lines, strict=True):
-        groups.setdefault(side.name, []).append(line)
+    named = [(side.name, line) for side, line in zip(sides, lines, strict=True)]
     for body in case.bodies:
-        named, loop = _layers(geo, case, body)
+        around, loop = _layers(geo, case, body)
         holes.append(loop)
-        for name, curve in named:
-            groups.setdefault(name, []).append(curve)
+        named += around
     geo.addPlaneSurface([geo.addCurveLoop(lines), *holes])
     geo.synchronize()
     size = SizeField(case)
@@ -96,39 +80,34 @@ def _build(gmsh, case: Case) -> Mesh:
     gmsh.model.mesh.generate(2)
 
     tags, coordinates, _ = gmsh.model.mesh.getNodes()
-    number = {int(tag): k for k, tag in enumerate(tags)}
+    number = np.empty(int(max(tags)) + 1, int)
+    number[tags] = np.arange(len(tags))
     xy = np.asarray(coordinates).reshape(-1, 3)[:, :2]
-    _, elements = gmsh.model.mesh.getElementsByType(2)
-    triangles = np.array([number[int(tag)] for tag in elements]).reshape(-1, 3)
-    boundaries = {}
-    for name, of_group in groups.items():
-        tagged = [gmsh.model.mesh.getElementsByType(1, curve)[1] for curve in of_group]
-        boundaries[name] = np.array([number[int(tag)] for tag in np.concatenate(tagged)]).reshape(-1, 2)
+    triangles = number[gmsh.model.mesh.getElementsByType(2)[1]].reshape(-1, 3)
+    boundaries: dict[str, np.ndarray] = {}
+    for name, curve in named:
+        facets = number[gmsh.model.mesh.getElementsByType(1, curve)[1]].reshape(-1, 2)
+        boundaries[name] = np.concatenate([boundaries[name], facets]) if name in boundaries else facets
     return _compact(xy, triangles, boundaries, curves(case, list(boundaries)))
 
 
 def _layers(geo, case: Case, body: Body) -> tuple[list[tuple[str, int]], int]:
     """Lay quadrilaterals around a body, patch by patch; return its curves by name, and the loop around them."""
-    size, length = case.sizes, case.scales.length
-    rays = _rays(case, body)
-    heights = size.layer_height * length * size.layer_growth ** np.arange(size.layers)
-    centre = geo.addPoint(*body.centre, 0)
+    size, rays, centre = case.sizes, _rays(case, body), geo.addPoint(*body.centre, 0)
+    heights = size.layer_height * case.scales.length * size.layer_growth ** np.arange(size.layers)
 
     def ring(height: float) -> tuple[list[int], list[int]]:
         points = [geo.addPoint(*body.point(np.array([piece.start]), height)[0], 0) for piece, _ in rays]
-        made = []
-        for k, (piece, facets) in enumerate(rays):
-            ends = points[k], points[(k + 1) % len(points)]
-            made.append(_curve(geo, body, piece, height, ends, centre, facets))
-        return points, made
+        around = zip(rays, points, [*points[1:], points[0]], strict=True)
+        return points, [_curve(geo, body, *ray, height, (a, b), centre) for ray, a, b in around]
 
     (inner_points, inner), (outer_points, outer) = ring(0.0), ring(float(heights.sum()))
     spokes = [geo.addLine(a, b) for a, b in zip(inner_points, outer_points, strict=True)]
     for k, (_, facets) in enumerate(rays):
         after = (k + 1) % len(rays)
         patch = geo.addPlaneSurface([geo.addCurveLoop([inner[k], spokes[after], -outer[k], -spokes[k]])])
-        for curve in (inner[k], outer[k]):
-            geo.mesh.setTransfiniteCurve(curve, facets + 1)
+        geo.mesh.setTransfiniteCurve(inner[k], facets + 1)
+        geo.mesh.setTransfiniteCurve(outer[k], facets + 1)
         geo.mesh.setTransfiniteCurve(spokes[k], size.layers + 1, "Progression", size.layer_growth)
         geo.mesh.setTransfiniteSurface(patch, "AlternateLeft")
     return [(piece.name, curve) for (piece, _), curve in zip(rays, inner, strict=True)], geo.addCurveLoop(outer)
@@ -144,12 +123,12 @@ def _rays(case: Case, body: Body) -> list[tuple[Piece, int]]:
             mine = Piece(piece.name, piece.start + k * step, piece.start + (k + 1) * step)
             along = body.point(np.linspace(mine.start, mine.end, 2 if body.straight else 200))
             length = float(np.linalg.norm(np.diff(along, axis=0), axis=1).sum())
-            facets = max(round(length / (case.sizes.body * case.scales.length)), 1)
-            rays.append((mine, facets if piece.name == body.name else max(case.sizes.part_facets, 1)))
+            wanted = round(length / (case.sizes.body * case.scales.length))
+            rays.append((mine, max(wanted if piece.name == body.name else case.sizes.part_facets, 1)))
     return rays
 
 
-def _curve(geo, body: Body, piece: Piece, height: float, ends, centre: int, facets: int) -> int:
+def _curve(geo, body: Body, piece: Piece, facets: int, height: float, ends: tuple[int, int], centre: int) -> int:
     """Return gmsh's curve along a piece: a line, an arc, or a spline through the points at which facets will end."""
     if body.straight:
         return geo.addLine(*ends)
@@ -163,26 +142,25 @@ class SizeField:
     """The wanted size of a triangle at a point outside the layers."""
 
     def __init__(self, case: Case):
-        self.sizes, self.length = case.sizes, case.scales.length
-        height = self.length * case.sizes.layer_height
-        height *= float((case.sizes.layer_growth ** np.arange(case.sizes.layers)).sum())
-        self.outlines = [outline(body, height, 180) for body in case.bodies]
-        self.grown = [_perimeter(o) / _perimeter(outline(b)) for o, b in zip(self.outlines, case.bodies, strict=True)]
-        self.centres = [(body.centre, outline(body)) for body in case.bodies]
+        size, L = case.sizes, case.scales.length
+        self.sizes, self.length, self.bodies = size, L, []
+        height = L * size.layer_height * float((size.layer_growth ** np.arange(size.layers)).sum())
+        for body in case.bodies:
+            bare, ring = outline(body), outline(body, height, 180)
+            facets = size.body * L * (_perimeter(ring) / _perimeter(bare))
+            self.bodies.append((body.centre[0], bare[:, 0].max(), ring, facets))
         every = np.concatenate([outline(body) for body in case.bodies]) if case.bodies else np.zeros((1, 2))
         (self.front, low), (self.back, high) = every.min(axis=0), every.max(axis=0)
-        axis = case.sizes.wake_axis
-        self.axis, self.half = 0.5 * (low + high) if axis is None else axis, 0.5 * (high - low)
+        self.axis, self.half = 0.5 * (low + high) if size.wake_axis is None else size.wake_axis, 0.5 * (high - low)
 
     def __call__(self, x: float, y: float) -> float:
-        size, L, point = self.sizes, self.length, np.array([[x, y]])
-        least = size.far * L
-        if not self.outlines:
+        size, L, least = self.sizes, self.length, self.sizes.far * self.length
+        if not self.bodies:
             return least
-        for ((cx, _), xy), ring, grown in zip(self.centres, self.outlines, self.grown, strict=True):
+        for centre, back, ring, facets in self.bodies:
             # faster where the flow comes from; slower downstream, where the shear layers roll up
-            growth = 0.14 - 0.04 * min(max((x - cx) / (xy[:, 0].max() - cx), 0.0), 1.0)
-            least = min(least, size.body * L * grown + growth * distance(ring, point)[0])
+            growth = 0.14 - 0.04 * min(max((x - centre) / (back - centre), 0.0), 1.0)
+            least = min(least, facets + growth * distance(ring, np.array([[x, y]]))[0])
         wake = size.wake * L + 0.045 * max(x - self.back - 2.5 * L, 0.0)
         wake += 0.4 * max(abs(y - self.axis) - self.half - 0.5 * L, 0.0) + 0.6 * max(self.front - x, 0.0)
         return min(least, wake)
@@ -192,18 +170,14 @@ def _perimeter(polygon: np.ndarray) -> float:
     return float(np.linalg.norm(np.roll(polygon, -1, axis=0) - polygon, axis=1).sum())
 
 
-def _compact(
-    points: np.ndarray, triangles: np.ndarray, boundaries: dict[str, np.ndarray], bodies: Mapping[str, Body]
-) -> Mesh:
+def _compact(points: np.ndarray, triangles: np.ndarray, boundaries: dict, bodies: Mapping[str, Body]) -> Mesh:
     """Drop unused points (circle centres), and turn all triangles counter-clockwise."""
     used, triangles = np.unique(triangles, return_inverse=True)
-    triangles = triangles.reshape(-1, 3)
-    renumber = {int(old): new for new, old in enumerate(used)}
-    points = points[used]
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    clockwise = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) < (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    points, triangles = points[used], triangles.reshape(-1, 3)
+    (ax, ay), (bx, by), (cx, cy) = (points[corner].T for corner in triangles.T)
+    clockwise = (bx - ax) * (cy - ay) < (by - ay) * (cx - ax)
     triangles[clockwise] = triangles[clockwise][:, [0, 2, 1]]
-    named = {name: np.array([[renumber[int(v)] for v in f] for f in facets]) for name, facets in boundaries.items()}
+    named = {name: np.searchsorted(used, facets) for name, facets in boundaries.items()}
     for name, body in bodies.items():  # gmsh's splines are a little off the curves
         on = np.unique(named[name])
         points[on] = body.between(points[on], points[on])
@@ -216,18 +190,14 @@ def refine(mesh: Mesh) -> Mesh:
     edges, inverse = np.unique(edges, axis=0, return_inverse=True)
     n = len(mesh.points)
     points = np.concatenate([mesh.points, mesh.points[edges].mean(axis=1)])
-    number = {(int(a), int(b)): n + k for k, (a, b) in enumerate(edges)}
 
     def middle(facets: np.ndarray) -> np.ndarray:
-        return np.array([number[min(a, b), max(a, b)] for a, b in facets.tolist()], dtype=int)
+        return n + np.searchsorted(edges @ [n, 1], np.sort(facets, axis=1) @ [n, 1])  # edges are sorted by vertices
 
-    boundaries: dict[str, Any] = {}
-    for name, facets in mesh.boundaries.items():
-        mids = middle(facets)
-        boundaries[name] = np.concatenate([np.c_[facets[:, 0], mids], np.c_[mids, facets[:, 1]]])
+    halves = {name: (facets[:, 0], middle(facets), facets[:, 1]) for name, facets in mesh.boundaries.items()}
+    boundaries = {name: np.concatenate([np.c_[a, m], np.c_[m, b]]) for name, (a, m, b) in halves.items()}
     curved, x = mesh.middles()
     points[middle(curved)] = x
-    a, b, c = mesh.triangles.T
-    ab, bc, ca = (n + inverse.reshape(-1, 3)).T
+    (a, b, c), (ab, bc, ca) = mesh.triangles.T, (n + inverse.reshape(-1, 3)).T
     triangles = np.concatenate([np.c_[a, ab, ca], np.c_[ab, b, bc], np.c_[ca, bc, c], np.c_[ab, bc, ca]])
     return Mesh(points, triangles, boundaries, mesh.curves)

@@ -64,7 +64,7 @@ class Operators:
     velocity_order, pressure_order: numbers of scikit-fem's nodes in the solver's order: velocity nodes that are free,
     those that are read, other fixed ones. free: count of the free ones. inputs, functionals: their names in the order
     of amplitudes and of what a step gives. kinetic: (inputs,), as in `Problem`. sensors: name -> field and rows, acting
-    on the solver's order.
+    on the solver's order. precision: of increments and residuals. digest: hash of every number a step uses.
     """
 
     mesh: Mesh
@@ -85,7 +85,6 @@ class Operators:
 
     @property
     def precision(self) -> type:
-        """NumPy type of increments and residuals."""
         return self.tables.inverse.dtype.type
 
     def __getstate__(self) -> dict[str, Any]:
@@ -93,7 +92,6 @@ class Operators:
 
     @property
     def digest(self) -> str:
-        """Hash of every number a step uses."""
         return disk.digest(flatten("tables", self.tables))
 
 
@@ -101,9 +99,8 @@ def flatten(name: str, part) -> dict[str, np.ndarray]:
     """Return the arrays of nested named tuples by dotted names."""
     if isinstance(part, np.ndarray):
         return {name: part}
-    return {
-        key: array for child in part._fields for key, array in flatten(f"{name}.{child}", getattr(part, child)).items()
-    }
+    parts = [flatten(f"{name}.{child}", of) for child, of in part._asdict().items()]
+    return {key: array for flat in parts for key, array in flat.items()}
 
 
 def assemble(
@@ -117,121 +114,106 @@ def assemble(
 ) -> Operators:
     """Assemble and factor the operators of a problem (docs/numerics.md, eq. 4-14).
 
-    mean: (n, 2) velocity in scikit-fem's order that advects implicitly; ValueError where the scheme wants one and
-    there is none. precision: of increments and residuals; the fields themselves are doubles always. float64 is for
-    comparison.
+    mean: (n, 2) velocity in scikit-fem's order that advects implicitly; ValueError where the scheme wants one and there
+    is none. precision: of increments and residuals, float64 for comparison; the fields are doubles always.
     """
     space, dt, nu = problem.space, time_step, viscosity
-    n, m = space.mass.shape[0], space.pressure_stiffness.shape[0]
+    n, m = len(space.x), len(space.mesh.points)
     A = _momentum_matrix(problem, scheme, dt, nu, mean)
+    momentum, free = _factor(A, np.setdiff1d(np.arange(n), problem.fixed))
     read = np.flatnonzero(sum((f.phi.any(axis=1) for f in problem.functionals), np.zeros(n, bool)))
+    velocity = np.concatenate([free, read, np.setdiff1d(problem.fixed, read)])
+    poisson, p_free = _factor(space.pressure_stiffness, np.setdiff1d(np.arange(m), problem.pressure_fixed))
+    pressure = np.concatenate([p_free, problem.pressure_fixed])
 
-    free = np.setdiff1d(np.arange(n), problem.fixed)
-    momentum, order = factors.factor(A[free][:, free])
-    free = free[order]
-    velocity_order = np.concatenate([free, read, np.setdiff1d(problem.fixed, read)])
-    p_free = np.setdiff1d(np.arange(m), problem.pressure_fixed)
-    poisson, order = factors.factor(space.pressure_stiffness[p_free][:, p_free])
-    p_free = p_free[order]
-    pressure_order = np.concatenate([p_free, problem.pressure_fixed])
-
-    place = np.empty(n, int)
-    place[velocity_order] = np.arange(n)
-    to_fixed = sp.csr_matrix(A[free][:, velocity_order[len(free) :]])
+    to_fixed = sp.csr_matrix(A[free][:, velocity[len(free) :]])
     coupling_rows = np.flatnonzero(np.diff(to_fixed.indptr))
-    to_fixed = factors.rows(to_fixed[coupling_rows])
-    driven = np.flatnonzero(abs(problem.profiles).max(axis=(0, 2), initial=0.0)[velocity_order])
+    coupling = factors.rows(to_fixed[coupling_rows])
+    driven = np.flatnonzero(abs(problem.profiles).max(axis=(0, 2), initial=0.0)[velocity])
     acting = {
-        **_elements(space, place),
-        **_linear(space, scheme, dt, nu, velocity_order, pressure_order, len(free) + len(read)),
+        **_elements(space, np.argsort(velocity)),
+        **_linear(space, scheme, dt, nu, velocity, pressure, len(free) + len(read)),
         "coupling_rows": coupling_rows.astype(np.uint32),
-        "coupling": to_fixed._replace(column=to_fixed.column + np.uint32(len(free))),
+        "coupling": coupling._replace(column=coupling.column + np.uint32(len(free))),
         "momentum": momentum,
         "poisson": poisson,
     }
     tables = Tables(
         **{name: _rounded(part, precision) for name, part in acting.items()},
-        divergence=factors.pair(*(-scheme.new / dt * B[p_free][:, velocity_order] for B in space.divergence)),
-        fixed=problem.steady[velocity_order[len(free) :]],
+        divergence=factors.pair(*(-scheme.new / dt * B[p_free][:, velocity] for B in space.divergence)),
+        fixed=problem.steady[velocity[len(free) :]],
         input_rows=driven.astype(np.uint32),
-        input_profile=np.ascontiguousarray(problem.profiles[:, velocity_order[driven]]),
-        **_readings(problem, A, nu, velocity_order, pressure_order),
+        input_profile=np.ascontiguousarray(problem.profiles[:, velocity[driven]]),
+        **_readings(problem, A, nu, velocity, pressure),
         numbers=np.array([scheme.ahead, *scheme.pressure]),
     )
-    return Operators(
-        space.mesh,
-        tables,
-        velocity_order,
-        pressure_order,
-        len(free),
-        dt,
-        problem.inputs,
-        tuple(functional.name for functional in problem.functionals),
-        problem.kinetic,
-        {sensor.name: (sensor.field, _sensor(space, sensor, velocity_order, pressure_order)) for sensor in sensors},
-    )
+    names = problem.inputs, tuple(functional.name for functional in problem.functionals)
+    probes = {sensor.name: _sensor(space, sensor, velocity, pressure) for sensor in sensors}
+    return Operators(space.mesh, tables, velocity, pressure, len(free), dt, *names, problem.kinetic, probes)
 
 
 def _momentum_matrix(problem: Problem, scheme: Scheme, dt: float, nu: float, mean: np.ndarray | None) -> sp.csr_matrix:
     """Return A (n, n) of eq. 9."""
     space = problem.space
-    if scheme.mean and mean is None:
-        raise ValueError(f"mean: got none, wanted the velocity (n, 2) that scheme {scheme.name!r} advects with")
     A = scheme.new / dt * space.mass + scheme.implicit * nu * space.stiffness + damping(problem, scheme, dt)
-    if scheme.mean and mean is not None:
-        A = sp.csr_matrix(A + spaces.advection(space, mean))
-    return A
+    if not scheme.mean:
+        return A
+    if mean is None:
+        raise ValueError(f"mean: got none, wanted the velocity (n, 2) that scheme {scheme.name!r} advects with")
+    return sp.csr_matrix(A + spaces.clean(spaces.advection(space, mean)))
+
+
+def _factor(matrix: sp.csr_matrix, free: np.ndarray) -> tuple[Panels, np.ndarray]:
+    """Return the factors of a matrix among the free nodes, and those in the order of elimination."""
+    panels, order = factors.factor(matrix[free][:, free])
+    return panels, free[order]
 
 
 def _elements(space: Space, place: np.ndarray) -> dict[str, Any]:
-    curved = space.curved
+    """Return the elements' nodes and maps; place: (n,), where scikit-fem's nodes are in the solver's order."""
     # in the order of the solver's numbering of their nodes, for the cache's sake
     straight = np.argsort(np.median(place[space.nodes], axis=1), kind="stable")
-    straight = straight[~np.isin(straight, curved)]
+    straight = straight[~np.isin(straight, space.curved)]
     return {
         "nodes": place[space.nodes[straight]].astype(np.uint32),
         "inverse": np.ascontiguousarray(space.inverse[straight, None]),
-        "curved_nodes": place[space.nodes[curved]].astype(np.uint32),
+        "curved_nodes": place[space.nodes[space.curved]].astype(np.uint32),
         "curved_inverse": space.curved_inverse,
     }
 
 
-def _linear(space: Space, scheme: Scheme, dt: float, nu: float, velocity_order, pressure_order, count: int) -> dict:
+def _linear(space: Space, scheme: Scheme, dt: float, nu: float, velocity, pressure, count: int) -> dict[str, Any]:
     """Return the rows of the linear terms, for the nodes whose residual is needed: the first `count`."""
-    tested = velocity_order[:count]
+    tested = velocity[:count]
     old = scheme.history[0] * scheme.ahead + scheme.history[1] * (scheme.ahead + 1)
-    M, K = space.mass, space.stiffness
-    return {
-        "linear": factors.pair(-nu * K[tested][:, velocity_order], -old / dt * M[tested][:, velocity_order]),
-        "gradient": factors.pair(*(B[:, tested][pressure_order].T for B in space.divergence)),
-    }
+    K, M = (matrix[tested][:, velocity] for matrix in (space.stiffness, space.mass))
+    gradient = factors.pair(*(B[:, tested][pressure].T for B in space.divergence))
+    return {"linear": factors.pair(-nu * K, -old / dt * M), "gradient": gradient}
 
 
-def _readings(problem: Problem, A: sp.csr_matrix, nu: float, velocity_order, pressure_order) -> dict[str, Any]:
+def _readings(problem: Problem, A: sp.csr_matrix, nu: float, velocity, pressure) -> dict[str, Any]:
     """Return the rows of all functionals, and their constants."""
-    found, (Bx, By) = problem.functionals, problem.space.divergence
-    inputs = len(problem.profiles)
+    found, (Bx, By), inputs = problem.functionals, problem.space.divergence, len(problem.profiles)
 
-    def both(parts: list[np.ndarray]) -> Rows:
-        """Return rows over nodes and components from fields (n, 2)."""
-        flat = [part[velocity_order].ravel() for part in parts]
-        return factors.rows(sp.csr_matrix(np.array(flat).reshape(len(parts), 2 * len(velocity_order))))
+    def rows(fields: list[np.ndarray], order: np.ndarray) -> Rows:
+        """Return rows over nodes, and components of these, from fields (n,) or (n, 2)."""
+        flat = [field[order].ravel() for field in fields]
+        return factors.rows(sp.csr_matrix(np.array(flat).reshape(len(fields), -1 if fields else len(order))))
 
-    pressure = np.array([(Bx @ f.phi[:, 0] + By @ f.phi[:, 1])[pressure_order] for f in found])
     return {
-        "residual": both([f.phi for f in found]),
-        "increment": both([np.stack([A.T @ f.phi[:, c] for c in range(2)], axis=1) for f in found]),
-        "read_pressure": factors.rows(sp.csr_matrix(pressure.reshape(len(found), len(pressure_order)))),
+        "residual": rows([f.phi for f in found], velocity),
+        "increment": rows([A.T @ f.phi for f in found], velocity),
+        "read_pressure": rows([Bx @ f.phi[:, 0] + By @ f.phi[:, 1] for f in found], pressure),
         "wall": np.array([nu * f.wall for f in found]).reshape(len(found), inputs + 1),
         "flux": np.array([f.flux for f in found]).reshape(len(found), inputs, inputs),
         "scale": np.array([f.scale for f in found]),
     }
 
 
-def _sensor(space: Space, sensor: Sensor, velocity_order, pressure_order) -> Rows:
-    pressure = sensor.field == "pressure"
-    basis, order = (space.pressure, pressure_order) if pressure else (space.velocity, velocity_order)
-    return factors.rows(spaces.probe_matrix(basis, np.array(sensor.points).reshape(-1, 2))[:, order])
+def _sensor(space: Space, sensor: Sensor, velocity, pressure) -> tuple[str, Rows]:
+    basis, order = (space.pressure, pressure) if sensor.field == "pressure" else (space.velocity, velocity)
+    matrix = spaces.probe_matrix(basis, np.array(sensor.points).reshape(-1, 2))
+    return sensor.field, factors.rows(matrix[:, order])
 
 
 def _rounded(part, precision) -> Any:
@@ -248,12 +230,12 @@ REACH = 2.0
 def damping(problem: Problem, scheme: Scheme, time_step: float) -> sp.csr_matrix:
     """Return S (n, n), the stiffness for a viscosity that falls off around each jet as a Gaussian (eq. 15)."""
 
-    def viscosity(x):
-        total = 0.0 * x[0]
-        for *centre, width, peak in problem.bells:
-            distance = ((x[0] - centre[0]) ** 2 + (x[1] - centre[1]) ** 2) / (REACH * width) ** 2
-            total = total + scheme.damping * time_step * peak**2 * np.exp(-distance)
-        return total
+    @skfem.BilinearForm
+    def form(u, v, w):
+        viscosity = 0.0 * w.x[0]
+        for x, y, width, peak in problem.bells:
+            distance = ((w.x[0] - x) ** 2 + (w.x[1] - y) ** 2) / (REACH * width) ** 2
+            viscosity = viscosity + scheme.damping * time_step * peak**2 * np.exp(-distance)
+        return viscosity * dot(grad(u), grad(v))
 
-    form = skfem.BilinearForm(lambda u, v, w: viscosity(w.x) * dot(grad(u), grad(v)))
     return sp.csr_matrix(form.assemble(problem.space.velocity))

@@ -14,8 +14,8 @@ def named(ops: Operators, read: np.ndarray, amplitudes: np.ndarray) -> dict[str,
     """Return the series (steps, B) of every reading by name (`case.readings`).
 
     read: (steps, functionals, B). amplitudes: (steps, inputs, B). Sums run in one order, so that no bit depends on B.
-    Power is the work that the inputs do on the fluid: that of pressure and friction, and the kinetic energy blown in
-    (docs/numerics.md, eq. 17). An input that takes energy out is not credited: it counts as 0 at that step.
+    Power is the work of the inputs on the fluid, by pressure and friction and as kinetic energy blown in
+    (docs/numerics.md, eq. 17). An input that takes energy out counts as 0 at that step.
     """
     parts = {name: read[:, k] for k, name in enumerate(ops.functionals)}
     bodies = [name for name in parts if name.partition(".")[0] in KINDS]
@@ -30,6 +30,11 @@ def named(ops: Operators, read: np.ndarray, amplitudes: np.ndarray) -> dict[str,
     return totals | {name: parts[name] for name in bodies} | {"power": power}
 
 
+def joined(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Return readings recorded part by part, one after the other in time."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
 def means(series: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the mean over the steps of every reading, (B,), summed in order so that it depends on no batch's shape."""
     stacked = np.stack(list(series.values()))
@@ -42,12 +47,11 @@ def means(series: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 def surface_force(case: Case, space: Space, u: np.ndarray, p: np.ndarray) -> tuple[float, float]:
     """Return C_D and C_L of all bodies of one flow, u (n, 2) and p (m,) in scikit-fem's order, by a surface integral.
 
-    Force on the body = -integral of (sigma n - u (u . n)), n out of the fluid (momentum through the wall included, rho
-    = 1). Slopes of P2 and P1 pressure on the surface are less accurate than the momentum residual that the time loop
-    uses (docs/numerics.md, eq. 13): this is its check, not another choice.
+    Force on the body = -integral of (sigma n - u (u . n)), n out of the fluid, rho = 1. Slopes on the surface are less
+    accurate than the momentum residual of the time loop (docs/numerics.md, eq. 13): this is its check.
     """
     nu, scales = case.viscosity, case.scales
-    facets = np.concatenate([space.facets(name) for name in space.mesh.boundaries if case.body(name) is not None])
+    facets = space.facets(*(name for name in space.mesh.boundaries if case.body(name) is not None))
     basis = skfem.FacetBasis(space.velocity.mesh, skfem.ElementTriP2(), facets=facets, intorder=4)
     a, b = (basis.interpolate(u[:, c]) for c in range(2))
     q = basis.with_element(skfem.ElementTriP1()).interpolate(p)

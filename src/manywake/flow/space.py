@@ -1,8 +1,5 @@
 """Taylor-Hood elements: P2 velocity and P1 pressure on triangles, isoparametric at curved bodies, by scikit-fem."""
 
-from dataclasses import dataclass
-from functools import cached_property
-
 import numpy as np
 import scipy.sparse as sp
 import skfem
@@ -15,15 +12,13 @@ from manywake.flow.mesh import Mesh
 class Curved(skfem.MeshTri2):
     """Quadratic triangles; points are looked for in the straight ones of the same vertices.
 
-    That finds the right triangle for every point of the fluid where chords lie inside the bodies, as those of convex
-    ones do.
+    That finds the right triangle for all points of the fluid where chords lie inside the bodies, as of convex ones.
     """
 
     def element_finder(self, mapping=None):
         return skfem.MeshTri(np.ascontiguousarray(self.doflocs[:, : self.nvertices]), self.t).element_finder()
 
 
-@dataclass(frozen=True)
 class Space:
     """The finite-element spaces on a mesh and the matrices that depend on nothing else.
 
@@ -35,87 +30,51 @@ class Space:
     (curved, 7, 4), the same at the quadrature points of the curved ones.
     """
 
-    mesh: Mesh
-    velocity: skfem.CellBasis
-    pressure: skfem.CellBasis
-    x: np.ndarray
-    nodes: np.ndarray
-    inverse: np.ndarray
-    curved: np.ndarray
-    curved_inverse: np.ndarray
-    mass: sp.csr_matrix
-    stiffness: sp.csr_matrix
-    divergence: tuple[sp.csr_matrix, sp.csr_matrix]
-    pressure_stiffness: sp.csr_matrix
+    def __init__(self, mesh: Mesh):
+        skmesh = skfem.MeshTri(mesh.points.T.copy(), mesh.triangles.T.copy())
+        facets, middles = mesh.middles()
+        if len(facets):
+            ends, skmesh = _numbers(skmesh, facets), Curved.from_mesh(skmesh)
+            skmesh.doflocs[:, len(mesh.points) + ends] = middles.T
+        self.mesh = mesh
+        self.velocity = skfem.Basis(skmesh, skfem.ElementTriP2(), intorder=5)
+        self.pressure = self.velocity.with_element(skfem.ElementTriP1())
+        self.x, self.nodes = self.velocity.doflocs.T.copy(), self.velocity.element_dofs.T.copy()
+        corners, edges = np.split(self.x[self.nodes], 2, axis=1)
+        straight = (corners + corners[:, [1, 2, 0]]) / 2
+        self.curved = np.flatnonzero((abs(edges - straight) > 1e-12).any(axis=(1, 2)))
+        self.inverse = _inverse(self.x[self.nodes], CORNER[:1])[:, 0]
+        self.curved_inverse = _inverse(self.x[self.nodes[self.curved]], CORNER)
 
-    def facets(self, name: str) -> np.ndarray:
-        """Return scikit-fem's facet numbers of a named boundary."""
-        pairs = np.sort(self.mesh.boundaries[name], axis=1)
-        return np.array([self._facet_numbers[int(a), int(b)] for a, b in pairs])
+        mass = skfem.BilinearForm(lambda u, v, w: u * v)
+        stiffness = skfem.BilinearForm(lambda u, v, w: dot(grad(u), grad(v)))
+        slopes = [skfem.BilinearForm(lambda u, q, w, c=c: q * u.grad[c]) for c in range(2)]
+        self.mass, self.stiffness = clean(mass.assemble(self.velocity)), clean(stiffness.assemble(self.velocity))
+        self.divergence = [clean(slope.assemble(self.velocity, self.pressure)) for slope in slopes]
+        self.pressure_stiffness = clean(stiffness.assemble(self.pressure))
 
-    @cached_property
-    def _facet_numbers(self) -> dict[tuple[int, int], int]:
-        return {(int(a), int(b)): k for k, (a, b) in enumerate(np.sort(self.velocity.mesh.facets.T, axis=1))}
+    def facets(self, *names: str) -> np.ndarray:
+        """Return scikit-fem's facet numbers of named boundaries, one after the other."""
+        return _numbers(self.velocity.mesh, np.concatenate([self.mesh.boundaries[name] for name in names]))
 
     def boundary_nodes(self, names: list[str]) -> np.ndarray:
         """Return the velocity nodes of the named boundaries, sorted."""
-        facets = [self.facets(name) for name in names]
-        return np.unique(self.velocity.get_dofs(np.concatenate(facets)).all()) if facets else np.empty(0, int)
+        return np.unique(self.velocity.get_dofs(self.facets(*names)).all()) if names else np.empty(0, int)
 
     def boundary_vertices(self, name: str) -> np.ndarray:
         """Return the pressure nodes of a named boundary, sorted."""
         return np.unique(self.mesh.boundaries[name])
 
 
+def _numbers(skmesh: skfem.MeshTri, ends: np.ndarray) -> np.ndarray:
+    """Return scikit-fem's numbers of facets with these vertices (f, 2)."""
+    known = {(a, b): k for k, (a, b) in enumerate(skmesh.facets.T.tolist())}
+    return np.array([known[min(a, b), max(a, b)] for a, b in ends.tolist()])
+
+
 def build(mesh: Mesh) -> Space:
     """Set up the spaces and assemble their matrices."""
-    skmesh = skfem.MeshTri(mesh.points.T.copy(), mesh.triangles.T.copy())
-    if len(mesh.middles()[0]):
-        skmesh = _curve(skmesh, mesh)
-    velocity = skfem.Basis(skmesh, skfem.ElementTriP2(), intorder=5)
-    pressure = velocity.with_element(skfem.ElementTriP1())
-
-    @skfem.BilinearForm
-    def mass(u, v, w):
-        return u * v
-
-    @skfem.BilinearForm
-    def stiffness(u, v, w):
-        return dot(grad(u), grad(v))
-
-    def divergence(c):
-        return skfem.BilinearForm(lambda u, q, w: q * u.grad[c])
-
-    nodes, x = velocity.element_dofs.T.copy(), velocity.doflocs.T.copy()
-    straight = (x[nodes[:, :3]] + x[nodes[:, [1, 2, 0]]]) / 2
-    curved = np.flatnonzero((abs(x[nodes[:, 3:]] - straight) > 1e-12).any(axis=(1, 2)))
-    return Space(
-        mesh,
-        velocity,
-        pressure,
-        x,
-        nodes,
-        _inverse(x[nodes], CORNER[:1])[:, 0],
-        curved,
-        _inverse(x[nodes[curved]], CORNER),
-        _clean(mass.assemble(velocity)),
-        _clean(stiffness.assemble(velocity)),
-        (
-            _clean(divergence(0).assemble(velocity, pressure)),
-            _clean(divergence(1).assemble(velocity, pressure)),
-        ),
-        _clean(stiffness.assemble(pressure)),
-    )
-
-
-def _curve(skmesh: skfem.MeshTri, mesh: Mesh) -> Curved:
-    """Return the mesh with the middle of each curved facet moved out to its curve."""
-    known = {(int(a), int(b)): k for k, (a, b) in enumerate(skmesh.facets.T)}
-    facets, x = mesh.middles()
-    middles = len(mesh.points) + np.array([known[min(a, b), max(a, b)] for a, b in facets.tolist()])
-    curved = Curved.from_mesh(skmesh)
-    curved.doflocs[:, middles] = x.T
-    return curved
+    return Space(mesh)
 
 
 def _inverse(x: np.ndarray, corner: np.ndarray) -> np.ndarray:
@@ -133,7 +92,7 @@ def _inverse(x: np.ndarray, corner: np.ndarray) -> np.ndarray:
     return np.stack([y_eta, -x_eta, -y_xi, x_xi], axis=2) * sign[:, :, None]
 
 
-def _clean(matrix: sp.spmatrix) -> sp.csr_matrix:
+def clean(matrix: sp.spmatrix) -> sp.csr_matrix:
     """Drop entries that are zero but for rounding (P2 vertex functions against P1 gradients, for one)."""
     matrix = sp.csr_matrix(matrix)
     matrix.data[abs(matrix.data) < 1e-13 * abs(matrix.data).max()] = 0.0
@@ -144,11 +103,11 @@ def _clean(matrix: sp.spmatrix) -> sp.csr_matrix:
 
 def probe_matrix(basis: skfem.CellBasis, points: np.ndarray) -> sp.csr_matrix:
     """Return the matrix (points, nodes) that interpolates a nodal vector at points (k, 2)."""
-    return _clean(basis.probes(points.T))
+    return clean(basis.probes(points.T))
 
 
 def advection(space: Space, velocity: np.ndarray) -> sp.csr_matrix:
     """Return N (n, n), ((U . grad) psi_k, psi_i) for a velocity U (n, 2) at the nodes."""
-    U, V = (space.velocity.interpolate(velocity[:, c]) for c in range(2))
+    U, V = (space.velocity.interpolate(component) for component in velocity.T)
     form = skfem.BilinearForm(lambda u, v, w: (w.U * u.grad[0] + w.V * u.grad[1]) * v)
-    return _clean(form.assemble(space.velocity, U=U, V=V))
+    return sp.csr_matrix(form.assemble(space.velocity, U=U, V=V))

@@ -1,6 +1,7 @@
 """Statistics of a force signal over whole periods of shedding."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -41,24 +42,16 @@ def whole_periods(c_l: np.ndarray) -> slice:
 
 
 def shedding(c_d: np.ndarray, c_l: np.ndarray, time_step: float, clock: np.ndarray | None = None) -> Shedding:
-    """Return the statistics of a signal (steps,) between the first and the last upward crossing of C_L's mid-range.
+    """Return the statistics of a signal (steps,) over its `whole_periods`; cl_rms is about zero.
 
-    clock: another signal whose crossings count. cl_rms is the root mean square about zero. Raises ValueError when there
-    are fewer than two whole periods.
+    clock: another signal whose crossings count. Raises ValueError when there are fewer than two whole periods.
     """
     clock = c_l if clock is None else clock
     up, level = _crossings(clock)
     crossing = up + (level - clock[up]) / (clock[up + 1] - clock[up])
     whole = whole_periods(clock)
     d, lift = c_d[whole], c_l[whole]
-    return Shedding(
-        float(d.mean()),
-        float(d.max()),
-        float(d.min()),
-        float(lift.mean()),
-        float(lift.max()),
-        float(lift.min()),
-        float(np.sqrt(np.mean(lift**2))),
-        float((crossing[-1] - crossing[0]) / (len(up) - 1) * time_step),
-        len(up) - 1,
-    )
+    period = (crossing[-1] - crossing[0]) / (len(up) - 1) * time_step
+    found = d.mean(), d.max(), d.min(), lift.mean(), lift.max(), lift.min(), np.sqrt(np.mean(lift**2)), period
+    numbers: list[Any] = [*(float(number) for number in found), len(up) - 1]
+    return Shedding(*numbers)

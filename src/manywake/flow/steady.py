@@ -8,6 +8,7 @@ import skfem
 from scipy.sparse.linalg import splu
 
 from manywake.case.case import Case
+from manywake.flow import space as spaces
 from manywake.flow.problem import Problem
 from manywake.flow.readings import KINDS
 from manywake.flow.space import Space
@@ -23,18 +24,8 @@ class SteadyFlow:
     iterations: int
 
 
-@skfem.BilinearForm
-def _advection(u, v, w):
-    """(a . grad) u for a given velocity a."""
-    return (w.ax * u.grad[0] + w.ay * u.grad[1]) * v
-
-
-@skfem.BilinearForm
-def _reaction(u, v, w):
-    """U s for a given slope s."""
-    return w.s * u * v
-
-
+_reaction = skfem.BilinearForm(lambda u, v, w: w.s * u * v)
+"""U s for a given slope s."""
 LADDER = (20.0, 50.0)
 """Reynolds numbers at which Newton's method stops on the way to a larger one."""
 
@@ -44,29 +35,22 @@ def solve(case: Case, problem: Problem, tolerance: float = 1e-9, most: int = 30)
 
     Raises RuntimeError when Newton does not converge within `most` steps at one Reynolds number.
     """
-    space = problem.space
-    n, m = space.mass.shape[0], space.pressure_stiffness.shape[0]
+    space, basis = problem.space, problem.space.velocity
+    n, m = len(space.x), len(space.mesh.points)
     pinned = np.empty(0, int) if case.outlet else 2 * n + problem.pressure_fixed
     free = np.setdiff1d(np.arange(2 * n + m), np.concatenate([problem.fixed, n + problem.fixed, pinned]))
     Bx, By = space.divergence
     x = np.concatenate([*problem.steady.T, np.zeros(m)])
 
-    basis = skfem.Basis(space.velocity.mesh, skfem.ElementTriP2(), intorder=5)
-
     def residual_and_jacobian(x, nu, convect):
-        u, v = x[:n], x[n : 2 * n]
-        ux, vx = basis.interpolate(u), basis.interpolate(v)
-        C = _advection.assemble(basis, ax=ux, ay=vx) if convect else sp.csr_matrix((n, n))
-        A = nu * space.stiffness + C
+        u = x[: 2 * n].reshape(2, n)
+        A = nu * space.stiffness + (spaces.advection(space, u.T) if convect else sp.csr_matrix((n, n)))
         stokes = sp.bmat([[A, None, -Bx.T], [None, A, -By.T], [-Bx, -By, None]], format="csr")
-        residual = stokes @ x
         if not convect:
-            return residual, stokes
-        S = [[_reaction.assemble(basis, s=g.grad[c]) for c in range(2)] for g in (ux, vx)]
-        newton = sp.bmat(
-            [[S[0][0], S[0][1], None], [S[1][0], S[1][1], None], [None, None, sp.csr_matrix((m, m))]], format="csr"
-        )
-        return residual, stokes + newton
+            return stokes @ x, stokes
+        slopes = [basis.interpolate(component).grad for component in u]
+        reaction = [[*(_reaction.assemble(basis, s=slope[c]) for c in range(2)), None] for slope in slopes]
+        return stokes @ x, stokes + sp.bmat([*reaction, [None, None, sp.csr_matrix((m, m))]], format="csr")
 
     taken = 0
     ladder = [re for re in LADDER if re < case.reynolds] + [case.reynolds]
@@ -82,8 +66,8 @@ def solve(case: Case, problem: Problem, tolerance: float = 1e-9, most: int = 30)
         else:
             raise RuntimeError(f"steady: Newton did not converge at Re {reynolds:g} in {most} steps")
     r, _ = residual_and_jacobian(x, case.viscosity, True)
-    u = np.stack([x[:n], x[n : 2 * n]], axis=1)
-    return SteadyFlow(u, x[2 * n :], _readings(case, problem, np.stack([r[:n], r[n : 2 * n]], axis=1)), taken)
+    u, residual = (part[: 2 * n].reshape(2, n).T.copy() for part in (x, r))
+    return SteadyFlow(u, x[2 * n :], _readings(case, problem, residual), taken)
 
 
 def _readings(case: Case, problem: Problem, residual: np.ndarray) -> dict[str, float]:
@@ -100,13 +84,9 @@ def _readings(case: Case, problem: Problem, residual: np.ndarray) -> dict[str, f
 
 def pressure_at(space: Space, p: np.ndarray, points: list[tuple[float, float]]) -> np.ndarray:
     """Return the pressure at points; those within 1e-3 of a vertex, as on the cylinder, are read at that vertex."""
-    vertices = space.mesh.points
     values = []
-    for point in points:
-        distance = np.linalg.norm(vertices - np.asarray(point), axis=1)
-        nearest = int(distance.argmin())
-        if distance[nearest] < 1e-3:
-            values.append(p[nearest])
-        else:
-            values.append(float((space.pressure.probes(np.array([point]).T) @ p)[0]))
+    for point in np.array(points):
+        distance = np.linalg.norm(space.mesh.points - point, axis=1)
+        at_vertex = distance.min() < 1e-3
+        values.append(p[distance.argmin()] if at_vertex else (space.pressure.probes(point[:, None]) @ p)[0])
     return np.array(values)

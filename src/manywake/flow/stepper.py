@@ -4,15 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manywake.flow.kernels import (
-    convection,
-    divergence,
-    extrapolate,
-    extrapolate_row,
-    linear_terms,
-    solve,
-    subtract_rows,
-)
+from manywake.flow import kernels
 from manywake.flow.operators import Operators
 from manywake.machine import simd
 from manywake.machine.compile import kernel
@@ -41,25 +33,21 @@ def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, parts, p_star, amplitudes,
     amplitudes: (steps, inputs) lanes. u, u_old, e, d, y: pairs. e, d, y, p_star: room in the precision of the
     operators. parts: (2 n, 1), the memory of y by components.
     """
+    # numba spreads plain tuples, not named ones: hence the [:] below
     ahead, b1, b2 = ops.numbers[0], ops.numbers[1], ops.numbers[2]
-    nf = len(ops.momentum.inverse_diagonal)
-    mf = len(ops.poisson.inverse_diagonal)
-    tested = len(ops.linear.start) - 1
-    extrapolate(ahead, u, u_old, e, d)
+    nf, mf, tested = len(ops.momentum.inverse_diagonal), len(ops.poisson.inverse_diagonal), len(ops.linear.start) - 1
+    kernels.extrapolate(ahead, u, u_old, e, d)
     for s in range(len(amplitudes)):
         # minus the residual of the momentum equation at the extrapolated velocity and pressure (eq. 6-9)
         for i in range(mf):
             now = load(p, i, 0)
             guess = fma(b1, double(load(phi, i, 0)), fma(b2, double(load(phi_old, i, 0)), now))
             store(p_star, i, 0, rounded(guess, p_star))
-        linear_terms(
-            ops.linear.start, ops.linear.column, ops.linear.value, e, d,
-            ops.gradient.start, ops.gradient.column, ops.gradient.value, p_star, y,
-        )  # fmt: skip
+        kernels.linear_terms(*ops.linear[:], e, d, *ops.gradient[:], p_star, y)
         for i in range(tested, len(y)):
             store(y, i, 0, splat(0.0, y))
-        convection(ops.nodes, ops.inverse, e, y)
-        convection(ops.curved_nodes, ops.curved_inverse, e, y)
+        kernels.convection(ops.nodes, ops.inverse, e, y)
+        kernels.convection(ops.curved_nodes, ops.curved_inverse, e, y)
         _read_residual(ops, s, parts, amplitudes, readings)
 
         # increment of the velocity (eq. 9): boundary values, then the free nodes
@@ -73,14 +61,8 @@ def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, parts, p_star, amplitudes,
                 q = load(amplitudes, s, j)
                 x, z = fma(ops.input_profile[j, k, 0], q, x), fma(ops.input_profile[j, k, 1], q, z)
             store(y, i, 0, rounded(sub(join(x, z), _ahead(ahead, u, u_old, i)), y))
-        coupling = ops.coupling
-        subtract_rows(ops.coupling_rows, coupling.start, coupling.column, coupling.value, y, y)
-        m = ops.momentum
-        solve(
-            m.first, m.row_start, m.row, m.lower_start, m.lower, m.upper, m.lower_corner, m.upper_corner,
-            m.inverse_diagonal, y,
-        )  # fmt: skip
-        _read_increment(ops, s, parts, readings)
+        kernels.subtract_rows(ops.coupling_rows, *ops.coupling[:], y, y)
+        kernels.solve(*ops.momentum[:], y)
 
         # velocity at t + dt, and what the next step starts from
         u, u_old = u_old, u
@@ -88,27 +70,22 @@ def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, parts, p_star, amplitudes,
             old = load(u_old, i, 0)
             new = add(_ahead(ahead, u_old, u, i), double(load(y, i, 0)))
             store(u, i, 0, new)
-            extrapolate_row(ahead, new, old, e, d, i)
+            kernels.extrapolate_row(ahead, new, old, e, d, i)
 
-        # pressure at t + dt (eq. 10, 11), and its part in what is read
+        # pressure at t + dt (eq. 10, 11), and what is read
         phi, phi_old = phi_old, phi
-        divergence(ops.divergence.start, ops.divergence.column, ops.divergence.value, u, phi)
-        m = ops.poisson
-        solve(
-            m.first, m.row_start, m.row, m.lower_start, m.lower, m.upper, m.lower_corner, m.upper_corner,
-            m.inverse_diagonal, phi,
-        )  # fmt: skip
+        kernels.divergence(*ops.divergence[:], u, phi)
+        kernels.solve(*ops.poisson[:], phi)
         for i in range(mf):
             store(p, i, 0, add(load(p, i, 0), double(load(phi, i, 0))))
-        _read_pressure(ops, s, p, p_star, readings)
+        _read_increments(ops, s, parts, p, p_star, readings)
     return u, u_old, phi, phi_old
 
 
 @kernel
 def _read_residual(ops, s, parts, amplitudes, readings):
     """What of the readings is known before the increment (eq. 14): residual, momentum and stretching of the wall."""
-    start, column, value = ops.residual.start, ops.residual.column, ops.residual.value
-    inputs = amplitudes.shape[1]
+    (start, column, value), inputs = ops.residual, amplitudes.shape[1]
     for r in range(len(ops.scale)):
         f = splat(0.0, readings)
         for k in range(start[r], start[r + 1]):
@@ -123,25 +100,16 @@ def _read_residual(ops, s, parts, amplitudes, readings):
 
 
 @kernel
-def _read_increment(ops, s, parts, readings):
-    """What the increment adds to the readings."""
-    start, column, value = ops.increment.start, ops.increment.column, ops.increment.value
+def _read_increments(ops, s, parts, p, p_star, readings):
+    """What the increments of velocity and pressure add to the readings, which are then scaled to coefficients."""
+    (start, column, value), (p_start, p_column, p_value) = ops.increment, ops.read_pressure
     for r in range(len(ops.scale)):
         f = load(readings, s, r)
         for k in range(start[r], start[r + 1]):
             f = fma(-value[k], double(load(parts, column[k], 0)), f)
-        store(readings, s, r, f)
-
-
-@kernel
-def _read_pressure(ops, s, p, p_star, readings):
-    """What the new pressure adds to the readings, which are then scaled to coefficients."""
-    start, column, value = ops.read_pressure.start, ops.read_pressure.column, ops.read_pressure.value
-    for r in range(len(ops.scale)):
-        f = load(readings, s, r)
-        for k in range(start[r], start[r + 1]):
-            i = column[k]
-            f = fma(value[k], sub(load(p, i, 0), double(load(p_star, i, 0))), f)
+        for k in range(p_start[r], p_start[r + 1]):
+            i = p_column[k]
+            f = fma(p_value[k], sub(load(p, i, 0), double(load(p_star, i, 0))), f)
         store(readings, s, r, mul(ops.scale[r], f))
 
 

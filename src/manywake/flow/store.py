@@ -42,13 +42,11 @@ def cache_path(case: Case) -> Path:
 def get(case: Case, progress: Progress | None = None) -> Baseline:
     """Return the baseline of a case: the shipped one, else the cached one, else one made now and cached.
 
-    Safe when two processes want it at once: one makes it, the other waits and reads it. A geometry that a shipped
-    case has already is not meshed again.
+    Of two processes that want it at once one makes it, the other waits and reads it. A geometry that a shipped case has
+    is not meshed again.
     """
-    wanted = describe.flow_digest(case)
-    about = {path: baseline.description(path) for path in shipped()}
-    for path, numbers in about.items():
-        if numbers.get("flow_digest") == wanted:
+    for path in shipped():
+        if baseline.description(path).get("flow_digest") == describe.flow_digest(case):
             return baseline.load(path, case)
     path = cache_path(case)
     if path.exists():
@@ -63,15 +61,14 @@ def get(case: Case, progress: Progress | None = None) -> Baseline:
         ) from error
     with held:
         if not path.exists():
-            baseline.save(baseline.make(case, _mesh(case, about), progress), path)
+            baseline.save(baseline.make(case, _mesh(case), progress), path)
     return baseline.load(path, case)
 
 
-def _mesh(case: Case, about: dict[Path, dict]) -> Mesh | None:
+def _mesh(case: Case) -> Mesh | None:
     """Return a mesh of the case's geometry from the shipped baselines, or from those in the cache."""
-    cached = {path: baseline.description(path) for path in cache_path(case).parent.glob(f"{FORMAT}-*.npz")}
-    for path, numbers in (about | cached).items():
-        if numbers.get("geometry_digest") == describe.geometry_digest(case):
+    for path in (*shipped(), *cache_path(case).parent.glob(f"{FORMAT}-*.npz")):
+        if baseline.description(path).get("geometry_digest") == describe.geometry_digest(case):
             return baseline.read(path, case).mesh
     return None
 

@@ -1,13 +1,29 @@
 """Arrays on disk: written whole or not at all, and known by the hash of their content."""
 
 import hashlib
+import json
 import os
 import tempfile
-from collections.abc import Callable
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
+
+DAMAGE = (OSError, zipfile.BadZipFile, zlib.error, EOFError, KeyError, TypeError, ValueError)
+"""What reading a damaged file of arrays raises."""
+
+
+def packed(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Return what a file of arrays holds, with plain data beside them, which `description` reads."""
+    return {"description": np.array(json.dumps(about)), **arrays}
+
+
+def description(data: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Return the plain data of an open file of arrays."""
+    return json.loads(str(data["description"]))
 
 
 def digest(arrays: dict[str, np.ndarray]) -> str:

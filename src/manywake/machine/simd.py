@@ -1,29 +1,24 @@
 """The vector type of the kernels: `W` lanes, one flow in each, in one machine register (or a few).
 
 A lane array is a NumPy array whose dtype is `lanes(W, number)`: the W doubles or singles of one row. The dtype carries
-width and precision, so numba compiles a kernel once per dtype, and inside the kernel `load` yields a value of LLVM type
+width and precision, so numba compiles a kernel once per dtype, and inside it `load` yields a value of LLVM type
 `<W x double>` or `<W x float>`. (Byte strings stand for doubles and unicode strings for singles, and not a record of
-numbers: numba names compiled code by its types, and names a record by a number that differs from process to process,
-so that cached kernels of two widths can get one name and be called for one another.)
-LLVM leaves an ordinary inner loop over lanes scalar; this type does not leave it the choice, nor the choice of
-contracting products and sums: a fused multiply-add happens where the kernel says `fma`, and nowhere else, so each
-lane sees the same rounding for every width and on every processor.
+numbers: numba names compiled code by its types, but a record by a number that differs from process to process, so that
+cached kernels of two widths could be called for one another.) LLVM leaves an ordinary inner loop over lanes scalar;
+this type leaves it no choice, nor that of contracting products and sums: a fused multiply-add happens where the kernel
+says `fma` and nowhere else, so each lane sees the same rounding for every width and on every processor.
 """
 
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.core.imputils import impl_ret_untracked
 from numba.extending import intrinsic, models, register_model
 from numba.np.arrayobj import make_array
 
 WIDTHS = (8, 4, 1)
-"""Lane counts the kernels are compiled for, each when it is first used.
-
-8 carries the batch (a row of singles is one AVX register), 1 one flow, and 4 the rest of a batch of 20 in two thirds of
-the time that 8 take.
-"""
+"""Lane counts the kernels are compiled for, each when first used: 8 carry the batch (a row of singles is one AVX
+register), 1 one flow, and 4 the rest of a batch of 20 in two thirds of the time that 8 take."""
 
 _CACHE_LINE = 64
 
@@ -35,11 +30,10 @@ def lanes(width: int, number: type = np.float64) -> np.dtype:
 
 def zeros(shape: tuple[int, ...], width: int, number: type = np.float64) -> np.ndarray:
     """Return a zeroed lane array of `shape` rows, aligned to the cache line so that no load straddles two."""
-    dtype = lanes(width, number)
-    size = int(np.prod(shape)) * dtype.itemsize
+    size = int(np.prod(shape)) * lanes(width, number).itemsize
     raw = np.zeros(size + _CACHE_LINE, np.uint8)
     offset = -raw.ctypes.data % _CACHE_LINE
-    return raw[offset : offset + size].view(dtype).reshape(shape)
+    return raw[offset : offset + size].view(lanes(width, number)).reshape(shape)
 
 
 def numbers(array: np.ndarray) -> np.ndarray:
@@ -62,10 +56,6 @@ class Vector(types.Type):
         super().__init__(name=f"Vector({width} x {bits})")
 
     @property
-    def number(self) -> types.Float:
-        return types.float64 if self.bits == 64 else types.float32
-
-    @property
     def llvm(self) -> ir.VectorType:
         return ir.VectorType(ir.DoubleType() if self.bits == 64 else ir.FloatType(), self.width)
 
@@ -83,10 +73,11 @@ def _row(array_type) -> Vector:
     return Vector(array_type.dtype.count, 32)
 
 
-def _pointer(context, builder, array_type, array, indices):
-    """Return the address of a row; no wraparound, no bounds check."""
-    array = make_array(array_type)(context, builder, array)
-    indices = [context.cast(builder, value, t, types.intp) for value, t in indices]
+def _pointer(context, builder, signature, args):
+    """Return the address of the row that the first three arguments name; no wraparound, no bounds check."""
+    array_type = signature.args[0]
+    array = make_array(array_type)(context, builder, args[0])
+    indices = [context.cast(builder, args[k], signature.args[k], types.intp) for k in (1, 2)]
     pointer = cgutils.get_item_pointer(context, builder, array_type, array, indices, wraparound=False)
     return builder.bitcast(pointer, _row(array_type).llvm.as_pointer())
 
@@ -96,8 +87,7 @@ def load(typingctx, array, i, c):
     """Row (i, c) of a lane array, as a vector."""
 
     def codegen(context, builder, signature, args):
-        index = [(args[1], signature.args[1]), (args[2], signature.args[2])]
-        return builder.load(_pointer(context, builder, signature.args[0], args[0], index), align=4)
+        return builder.load(_pointer(context, builder, signature, args), align=4)
 
     return _row(array)(array, i, c), codegen
 
@@ -107,16 +97,10 @@ def store(typingctx, array, i, c, value):
     """Write a vector to row (i, c) of a lane array."""
 
     def codegen(context, builder, signature, args):
-        index = [(args[1], signature.args[1]), (args[2], signature.args[2])]
-        builder.store(args[3], _pointer(context, builder, signature.args[0], args[0], index), align=4)
+        builder.store(args[3], _pointer(context, builder, signature, args), align=4)
         return context.get_dummy_value()
 
     return types.void(array, i, c, value), codegen
-
-
-def _splat(builder, scalar, vector: Vector):
-    one = builder.insert_element(ir.Constant(vector.llvm, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
-    return _shuffle(builder, one, one, [0] * vector.width)
 
 
 def _shuffle(builder, a, b, lanes):
@@ -126,7 +110,14 @@ def _shuffle(builder, a, b, lanes):
 def _as_vector(context, builder, value, value_type, vector: Vector):
     if isinstance(value_type, Vector):
         return value
-    return _splat(builder, context.cast(builder, value, value_type, vector.number), vector)
+    number = context.cast(builder, value, value_type, types.float64 if vector.bits == 64 else types.float32)
+    one = builder.insert_element(ir.Constant(vector.llvm, ir.Undefined), number, ir.Constant(ir.IntType(32), 0))
+    return _shuffle(builder, one, one, [0] * vector.width)
+
+
+def _as_vectors(context, builder, signature, args) -> list:
+    """Return the arguments, numbers among them in every lane of a vector like the last argument."""
+    return [_as_vector(context, builder, *pair, signature.args[-1]) for pair in zip(args, signature.args, strict=True)]
 
 
 @intrinsic
@@ -145,12 +136,9 @@ def fma(typingctx, a, b, c):
     """A * b + c with one rounding; `a` may be a number."""
 
     def codegen(context, builder, signature, args):
-        function = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(b.llvm, [b.llvm] * 3), f"llvm.fma.v{b.width}f{b.bits}"
-        )
-        values = [_as_vector(context, builder, value, t, b) for value, t in zip(args, signature.args, strict=True)]
-        result = builder.call(function, values)
-        return impl_ret_untracked(context, builder, signature.return_type, result)
+        kind, name = ir.FunctionType(b.llvm, [b.llvm] * 3), f"llvm.fma.v{b.width}f{b.bits}"
+        function = cgutils.get_or_insert_function(builder.module, kind, name)
+        return builder.call(function, _as_vectors(context, builder, signature, args))
 
     return b(a, b, c), codegen
 
@@ -158,8 +146,7 @@ def fma(typingctx, a, b, c):
 def _binary(operation: str, doc: str):
     def function(typingctx, a, b):
         def codegen(context, builder, signature, args):
-            values = [_as_vector(context, builder, value, t, b) for value, t in zip(args, signature.args, strict=True)]
-            return getattr(builder, operation)(*values)
+            return getattr(builder, operation)(*_as_vectors(context, builder, signature, args))
 
         return b(a, b), codegen
 
@@ -178,7 +165,7 @@ def maximum(typingctx, a, b):
     """The larger of a and b, lane by lane; `a` may be a number. A NaN in `b` stays."""
 
     def codegen(context, builder, signature, args):
-        left, right = (_as_vector(context, builder, value, t, b) for value, t in zip(args, signature.args, strict=True))
+        left, right = _as_vectors(context, builder, signature, args)
         return builder.select(builder.fcmp_ordered(">", left, right), left, right)
 
     return b(a, b), codegen

@@ -32,7 +32,7 @@ DEFAULT = "cylinder-jets"
 
 @dataclass(frozen=True)
 class Definition:
-    """What a case file says, and its path and hash, None for a case made in Python.
+    """What a case file says. file: its path, None for a case made in Python. content: what the file held.
 
     protocols: task and learner's settings by name; "default" is TASK and LEARNING.
     """
@@ -43,7 +43,11 @@ class Definition:
     rewards: Mapping[str, Reward]
     references: tuple[Reference, ...] = ()
     file: Path | None = None
-    sha256: str | None = None
+    content: bytes = b""
+
+    @property
+    def sha256(self) -> str | None:
+        return None if self.file is None else hashlib.sha256(self.content).hexdigest()
 
     @property
     def shipped(self) -> bool:
@@ -84,12 +88,14 @@ def load(case: str | Path | Case, task: Task | None = None) -> Definition:
         return Definition("python", case, {"default": (task, Learning())}, {_name(task.reward): task.reward})
     if str(case) in names():
         module = import_module(f"manywake.suite.{str(case).replace('-', '_')}")
-        return _definition(str(case), vars(module), Path(str(module.__file__)))
+        path = Path(str(module.__file__))
+        return _definition(str(case), vars(module), path, path.read_bytes())
     path = Path(case)
     if path.suffix != ".py":
         raise ValueError(f"case: got {str(case)!r}, wanted one of {', '.join(names())}, or the path of a .py file")
     if not path.is_file():
         raise ValueError(f"case: got {path}, which is no file, wanted the path of a case file")
+    content = path.read_bytes()
     try:
         # what it defines belongs to no module, so it travels to workers as what it is (cloudpickle)
         said = runpy.run_path(str(path), run_name="manywake_case")
@@ -97,10 +103,10 @@ def load(case: str | Path | Case, task: Task | None = None) -> Definition:
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else "?"
         raise ValueError(f"case: {path}, line {line}, fails ({type(error).__name__}: {error})") from error
-    return _definition(path.stem, said, path.resolve())
+    return _definition(path.stem, said, path.resolve(), content)
 
 
-def _definition(name: str, said: Mapping[str, Any], path: Path) -> Definition:
+def _definition(name: str, said: Mapping[str, Any], path: Path, content: bytes) -> Definition:
     for word, kind in (("CASE", Case), ("TASK", Task)):
         if not isinstance(said.get(word), kind):
             got = type(said[word]).__name__ if word in said else "nothing"
@@ -111,7 +117,7 @@ def _definition(name: str, said: Mapping[str, Any], path: Path) -> Definition:
         if not isinstance(both, tuple) or [type(part) for part in both] != [Task, Learning]:
             raise ValueError(f"case: {path} has {both!r} as the protocol {word!r}, wanted (Task(...), Learning(...))")
     rewards, references = said.get("REWARDS", {_name(task.reward): task.reward}), tuple(said.get("REFERENCES", ()))
-    return Definition(name, case, protocols, rewards, references, path, hashlib.sha256(path.read_bytes()).hexdigest())
+    return Definition(name, case, protocols, rewards, references, path, content)
 
 
 def _name(function: Any) -> str:
@@ -141,25 +147,27 @@ def override(definition: Definition, protocol: str, overrides: Mapping[str, Any]
     of = {f.name: kind for kind in owners for f in dataclasses.fields(kind)}
     of_laws = {name for law in _laws(definition, task).values() for name in _fields(law, "law.")}
     known = {*of, *settings(definition, protocol), *of_laws}
+    changed: dict[type, dict[str, Any]] = {kind: {} for kind in owners}  # replaced at once: some depend on each other
     for name, value in sorted(overrides.items(), key=lambda item: "." in item[0]):  # a whole, then parts of it
         if name not in known:
             raise ValueError(f"got the setting {name!r}, wanted one of {', '.join(sorted(known))}")
         head, _, tail = name.partition(".")
-        field, value = head, _object(definition, task, name, value)
+        field = {"limit": "actuators", "points": "sensors"}.get(head, head)
+        now = changed[of[field]].get(field, getattr(owners[of[field]], field))
+        value = _object(definition, task, name, value)
         if head == "limit":
-            given = owners[Case].actuators
-            field, value = "actuators", tuple(replace(a, limit=value) if tail in ("", a.on) else a for a in given)
+            value = tuple(replace(a, limit=value) if tail in ("", a.on) else a for a in now)
         elif head == "points":
-            points, given = tuple((float(x), float(y)) for x, y in value), owners[Case].sensors
-            field, value = "sensors", tuple(replace(s, points=points) if s.name == tail else s for s in given)
+            points = tuple((float(x), float(y)) for x, y in value)
+            value = tuple(replace(s, points=points) if s.name == tail else s for s in now)
         elif tail:
-            whole = getattr(owners[of[head]], head)
-            if not hasattr(whole, tail):
-                raise ValueError(f"{name}: got {value!r}, wanted none, as {type(whole).__name__} has no {tail}")
-            value = replace(whole, **{tail: value})
-        owners[of[field]] = replace(owners[of[field]], **{field: value})
-    door.check(owners[Case], owners[Task])
-    return Chosen(definition, owners[Case], owners[Task], owners[Learning], protocol, dict(overrides))
+            if not hasattr(now, tail):
+                raise ValueError(f"{name}: got {value!r}, wanted none, as {type(now).__name__} has no {tail}")
+            value = replace(now, **{tail: value})
+        changed[of[field]][field] = value
+    case, task, learning = (replace(owner, **changed[kind]) for kind, owner in owners.items())
+    door.check(case, task)
+    return Chosen(definition, case, task, learning, protocol, dict(overrides))
 
 
 def _object(definition: Definition, task: Task, name: str, value: Any) -> Any:
@@ -199,7 +207,9 @@ def settings(definition: Definition, protocol: str = "default") -> dict[str, Set
         found[f"limit.{a.on}"] = Setting(a.limit, float, f"Largest amplitude of {a.on} ({a.unit}).")
     found["limit"] = Setting(None, float | None, "Largest amplitude of every actuator.")
     for s in case.sensors:
-        found[f"points.{s.name}"] = Setting(s.points, points, f"Points (x, y) of the sensor {s.name}.")
+        found[f"points.{s.name}"] = Setting(
+            s.points, points, f"Points (x, y) of the sensor {s.name}, in the case's unit of length."
+        )
     found |= _fields(task, "", ("interval", "actions", "observe", "reward", "law")) | _fields(task.law, "law.")
     found["reward"] = Setting(reward, tuple(definition.rewards), "What is rewarded, of what the case's file has.")
     laws = tuple(_laws(definition, task))
