@@ -1,7 +1,5 @@
 """python -m benchmarks NAME, or manywake bench NAME."""
 
-import signal
-import sys
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -9,7 +7,7 @@ import tyro
 
 from benchmarks import cost, peers, roofline, scaling, step
 from manywake.cli import show
-from manywake.cli.show import Json, console, say
+from manywake.cli.show import Json
 
 
 @dataclass(frozen=True)
@@ -37,16 +35,7 @@ class Bench:
 
 def main() -> None:
     """Run the command."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C
-    try:
-        sys.exit(tyro.cli(Bench, prog="manywake bench").run())
-    except KeyboardInterrupt:
-        say("stopped")
-        sys.exit(130)
-    except (ValueError, RuntimeError, OSError) as error:
-        console.print("[red]error:[/] ", end="")
-        say(str(error))
-        sys.exit(2)
+    show.ending(lambda: tyro.cli(Bench, prog="manywake bench").run())
 
 
 if __name__ == "__main__":

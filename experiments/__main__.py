@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import signal
-import sys
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -28,7 +26,8 @@ from experiments import (
     trainings,
 )
 from experiments.experiment import Setup
-from manywake.cli.show import Bar, Json, console, say
+from manywake.cli import show
+from manywake.cli.show import Bar, Json, say
 
 MODULES = (
     configuration,
@@ -119,16 +118,7 @@ def train_all(setup: Setup, modules: Iterable[ModuleType]) -> None:
 
 def main() -> None:
     """Run the command."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C
-    try:
-        sys.exit(tyro.cli(Figure, prog="manywake figure").run())
-    except KeyboardInterrupt:
-        say("stopped")
-        sys.exit(130)
-    except (ValueError, RuntimeError, OSError) as error:
-        console.print("[red]error:[/] ", end="")
-        say(str(error))
-        sys.exit(2)
+    show.ending(lambda: tyro.cli(Figure, prog="manywake figure").run())
 
 
 if __name__ == "__main__":

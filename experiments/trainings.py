@@ -65,8 +65,7 @@ class Training:
         return run
 
     def _made(self, run: Run) -> bool:
-        case, task = self.chosen.case, self.chosen.task
-        digest = describe.digest({"case": describe.case(case), "task": describe.task(case, task)})
+        digest = describe.digest(flows.settings(self.chosen))
         return run.settings == self.settings and run.simulation["digest"] == digest
 
     def __str__(self) -> str:

@@ -1,16 +1,15 @@
 """The command line's entry: strings become objects, errors one line."""
 
 import os
-import signal
 import sys
 from pathlib import Path
 from typing import Any, Union
 
 import tyro
 
+from manywake.cli import show
 from manywake.cli.flow import Baseline, Validate, command, first
 from manywake.cli.runs import Evaluate, Replay, Resume, Train
-from manywake.cli.show import console, say
 from manywake.suite import load
 
 PACKAGES = {"figure": "experiments", "bench": "benchmarks"}
@@ -50,19 +49,14 @@ def _commands(words: list[str]) -> Any:
     return Union[commands]  # noqa: UP007
 
 
+def _run() -> int:
+    words = sys.argv[1:]
+    if words[:1] and words[0] in PACKAGES:
+        _hand_over(words[0], words[1:])
+    about = "Active flow control by deep reinforcement learning, on many simulations at once."
+    return tyro.cli(_commands(words), prog="manywake", description=about).run()
+
+
 def main() -> None:
     """Run the command line."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a batch system's polite request to stop is as Ctrl-C
-    words = sys.argv[1:]
-    try:
-        if words[:1] and words[0] in PACKAGES:
-            _hand_over(words[0], words[1:])
-        about = "Active flow control by deep reinforcement learning, on many simulations at once."
-        sys.exit(tyro.cli(_commands(words), prog="manywake", description=about).run())
-    except KeyboardInterrupt:
-        say("stopped")
-        sys.exit(130)
-    except (ValueError, RuntimeError, OSError) as error:
-        console.print("[red]error:[/] ", end="")
-        say(str(error))
-        sys.exit(2)
+    show.ending(_run)

@@ -1,7 +1,9 @@
 """What the commands show: bars while something long goes on, tables of numbers, JSON as the last line."""
 
 import json
-from collections.abc import Sequence
+import signal
+import sys
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
 import tyro
@@ -76,3 +78,17 @@ def numbers(found: dict[str, Any], as_json: bool) -> None:
         return
     rows = [(key, f"{value:.6g}" if isinstance(value, float) else str(value)) for key, value in found.items()]
     table([("", ""), *rows])
+
+
+def ending(work: Callable[[], int]) -> None:
+    """Run a command, and end the process by its status: 2 and a line for an error, 130 when it was stopped."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a batch system's polite request to stop is as Ctrl-C
+    try:
+        sys.exit(work())
+    except KeyboardInterrupt:
+        say("stopped")
+        sys.exit(130)
+    except (ValueError, RuntimeError, OSError) as error:
+        console.print("[red]error:[/] ", end="")
+        say(str(error))
+        sys.exit(2)
