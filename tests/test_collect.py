@@ -107,7 +107,7 @@ def test_policies_that_play_nothing_more_are_forgotten():
     plan = schedule.unsynced(SECONDS, 25, 10, 2.0, HORIZON)
     taken = collector(Toy(horizon=HORIZON), learning=LEARNING, grid=Layout(25, 1, 8), plan=plan)
     model, held = ppo.build(LEARNING, taken), []
-    model.hooks.collected = lambda model, episodes: held.append(sorted(taken._policies.kept))
+    model.hooks.collected = lambda model, episodes: held.append(sorted(taken._policies))
     model.learn(LEARNING.episodes * HORIZON)
     assert [versions[-1] for versions in held] == [0, 1, 2, 3]
     for newest, versions in enumerate(held):

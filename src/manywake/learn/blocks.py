@@ -1,10 +1,8 @@
-"""Which episodes start together, by which policies, and which come next: pure bookkeeping, no future and no clock.
-
-`Planned` knows all of a training beforehand (`schedule.Plan`); `AsTheyCome` goes by the order in which blocks come.
-"""
+"""Which episodes start together, by which policies, and which come next: bookkeeping without futures and clocks."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 
 import numpy as np
 
@@ -27,11 +25,9 @@ class Layout:
 def layout(environments: int | None, workers: int | None, lanes: int | None, period: int, cores: int) -> Layout:
     """Return a layout from what is given of it; ValueError when that does not fit together.
 
-    With nothing given: an environment for each of the `period` episodes of an update.
-
-    With only the number of environments: full vectors of eight as soon as every core has one, else the environments
-    spread over the cores; and one worker more than cores where there are blocks for it, so that blocks of unequal
-    width, 8, 8 and 4 of twenty say, share the cores evenly.
+    With nothing given: an environment for each of the `period` episodes of an update. With their number only: full
+    vectors of eight as soon as every core has one, else spread over the cores; and one worker more than cores where
+    there are blocks for it, so that blocks of unequal width, 8, 8 and 4 of twenty say, share the cores evenly.
     """
     for name, value in (("envs", environments), ("workers", workers), ("lanes", lanes)):
         if value is not None and value < 1:
@@ -43,8 +39,7 @@ def layout(environments: int | None, workers: int | None, lanes: int | None, per
         lanes = -(-environments // workers) if workers else full if environments >= full * cores else 0
         lanes = lanes or -(-environments // cores)
     blocks = -(-environments // lanes)
-    if workers is None:
-        workers = min(blocks, cores + 1)
+    workers = workers or min(blocks, cores + 1)
     if workers > blocks:
         raise ValueError(
             f"workers: got {workers} of {lanes} lanes for {environments} environments, wanted at most {blocks}; "
@@ -55,10 +50,9 @@ def layout(environments: int | None, workers: int | None, lanes: int | None, per
 
 @dataclass(frozen=True)
 class Block:
-    """Episodes that start and end together, and the policies that play them.
+    """Episodes that start and end together. group: those of the block it was split from, when that was lost.
 
-    versions: of the policies, rising; None takes the newest when it starts. group: the episodes the block was cut from,
-    should it have been lost and split.
+    versions: of the policies that play them, rising; None takes the newest when it starts.
     """
 
     indices: tuple[int, ...]
@@ -87,10 +81,9 @@ def cut(indices: list[int], grid: Layout, variant: Variant) -> list[tuple[int, .
 
 
 def _by_version(pending: Iterable[tuple[int, int]]) -> list[tuple[int, list[int]]]:
-    found: dict[int, list[int]] = {}
-    for index, version in pending:
-        found.setdefault(version, []).append(index)
-    return [(version, sorted(indices)) for version, indices in sorted(found.items())]
+    """Return versions, rising, with the episodes that were begun with each."""
+    alike = groupby(sorted((version, index) for index, version in pending), lambda pair: pair[0])
+    return [(version, [index for _, index in pairs]) for version, pairs in alike]
 
 
 @dataclass
@@ -106,15 +99,16 @@ class Planned:
     begun: dict[int, int] = field(default_factory=dict)
 
     def policy(self, version: int) -> list[Block]:
-        """Return the blocks that can start now that a policy exists."""
+        """Return the blocks that can start now that there is a policy."""
         return self._begin(np.flatnonzero(self.plan.version[:, -1] == version).tolist())
 
     def _begin(self, indices: list[int]) -> list[Block]:
-        self.begun |= self.plan.first(indices)
-        return [Block(block, self.plan.versions(block), block) for block in cut(indices, self.grid, self.variant)]
+        self.begun |= {index: int(self.plan.version[index, 0]) for index in indices}
+        blocks = cut(indices, self.grid, self.variant)
+        return [Block(block, tuple(np.unique(self.plan.version[list(block)]).tolist()), block) for block in blocks]
 
     def oldest(self, version: int) -> int:
-        """Return the oldest version that episodes not yet started need, once the newest is `version`."""
+        """Return the oldest version that what is not started needs, once the newest is `version`."""
         return min(self.plan.version[self.plan.version[:, -1] >= version, 0], default=version)
 
     def started(self, block: Block, newest: int) -> Block:
@@ -155,9 +149,8 @@ class AsTheyCome:
         return self._begin(self.grid.environments, version) if self._next == 0 else []
 
     def _begin(self, count: int, newest: int) -> list[Block]:
-        indices = list(range(self._next, min(self._next + count, self.total)))
-        self._next += len(indices)
-        return self._queue(indices, newest, None)
+        first, self._next = self._next, min(self._next + max(count, 0), self.total)
+        return self._queue(list(range(first, self._next)), newest, None)
 
     def _queue(self, indices: list[int], version: int, bound: tuple[int, ...] | None) -> list[Block]:
         self.begun |= dict.fromkeys(indices, version)
@@ -182,8 +175,7 @@ class AsTheyCome:
         if self._outstanding[block.group]:
             return []
         del self._outstanding[block.group]
-        free = self.grid.environments - sum(self._outstanding.values())
-        return self._begin(max(free, 0), newest)
+        return self._begin(self.grid.environments - sum(self._outstanding.values()), newest)
 
     def ready(self, version: int, arrived: Iterable[int]) -> list[int] | None:
         first = list(arrived)[: self.period]
@@ -192,8 +184,7 @@ class AsTheyCome:
     def resume(self, version: int, pending: Iterable[tuple[int, int]]) -> list[Block]:
         pending = list(pending)
         self._next = version * self.period + len(pending)  # those used and those on their way are all that were begun
-        by_version = _by_version(pending)
-        return [block for played_by, indices in by_version for block in self._queue(indices, played_by, (played_by,))]
+        return [block for by, indices in _by_version(pending) for block in self._queue(indices, by, (by,))]
 
 
 Order = Planned | AsTheyCome

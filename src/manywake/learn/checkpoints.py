@@ -1,12 +1,11 @@
 """Checkpoints: the policy as a plain SB3 zip with what is needed to go on, written whole, read without code."""
 
-import dataclasses
 import io
 import json
 import pickle
 import zipfile
 import zlib
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -28,12 +27,12 @@ class Progress:
     """What of a training is neither policy nor optimiser: kept in the checkpoint, to go on from there."""
 
     version: int = 0
-    pending: list[tuple[int, int]] = dataclasses.field(default_factory=list)
+    pending: list[tuple[int, int]] = field(default_factory=list)
     wall_s: float = 0.0
     best: float = -np.inf
     best_version: int = 0
     burst: int = 0
-    reached: dict[str, tuple[int, float] | None] = dataclasses.field(default_factory=lambda: dict.fromkeys(MILESTONES))
+    reached: dict[str, tuple[int, float] | None] = field(default_factory=lambda: dict.fromkeys(MILESTONES))
 
 
 def save(model: EpisodicPPO, progress: Progress, run: Run, name: str) -> None:
@@ -58,9 +57,8 @@ def policy(run: Run, name: str = "last") -> Policy:
     """Return the policy of a checkpoint (last or best). Only tensors are read from the zip, no pickle."""
     path = run.checkpoints / f"{name}.zip"
     if not path.exists():
-        raise ValueError(
-            f"checkpoint: {path} is not there; wanted one of {sorted(p.stem for p in path.parent.glob('*.zip'))}"
-        )
+        there = sorted(other.stem for other in path.parent.glob("*.zip"))
+        raise ValueError(f"checkpoint: {path} is not there; wanted one of {there}")
     with zipfile.ZipFile(path) as archive:
         return ppo.from_state(_tensors(archive, "policy.pth"))
 
@@ -80,8 +78,7 @@ def newest(run: Run) -> tuple[str, Progress, dict[str, Any], dict[str, Any]]:
         path = run.checkpoints / f"{name}.zip"
         try:
             with zipfile.ZipFile(path) as archive:
-                bad = archive.testzip()
-                if bad is not None:
+                if (bad := archive.testzip()) is not None:
                     raise zipfile.BadZipFile(f"{bad} is damaged")
                 data = json.loads(archive.read("manywake.json"))
                 weights, moments = _tensors(archive, "policy.pth"), _tensors(archive, "policy.optimizer.pth")

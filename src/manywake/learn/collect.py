@@ -3,16 +3,16 @@
 import os
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from manywake.learn.blocks import Block, Layout, Order
 from manywake.learn.engine import Engine, TimedOut, WorkerDied
 from manywake.learn.policy import Policy
-from manywake.learn.rollout import Context, Episode, Simulation, context
+from manywake.learn.rollout import Episode, Simulation, context, play
 
 MOST_FAILURES = 3
 """Failures of one episode, played alone, after which training stops."""
@@ -44,15 +44,9 @@ class EpisodeFailed(RuntimeError):
     """The same episode failed too often; `index` names it."""
 
     def __init__(self, index: int, run_seed: int, cause: str):
-        super().__init__(
-            f"episode {index} of run seed {run_seed} failed {MOST_FAILURES} times, the last time so: {cause}"
-        )
+        often = f"failed {MOST_FAILURES} times, the last time so: {cause}"
+        super().__init__(f"episode {index} of run seed {run_seed} {often}")
         self.index = index
-
-
-def play(simulation: Simulation, contexts: list[Context], *driving: Policy) -> list[Episode]:
-    """Play a block in a worker."""
-    return simulation.play(driving, contexts)
 
 
 @dataclass
@@ -72,25 +66,26 @@ class Collector:
     block_seconds: float | None = None
     seen: Callable[[list[Episode]], None] = lambda episodes: None
     failed: Callable[[Failure], None] = lambda failure: None
-    _queue: deque[tuple[Block, tuple[Any, ...]]] = field(default_factory=deque)
-    _flying: dict[Future, tuple[Block, tuple[Any, ...], float]] = field(default_factory=dict)
-    _arrived: dict[int, tuple[Episode, float]] = field(default_factory=dict)
-    _attempts: dict[int, int] = field(default_factory=dict)
-    _error: BaseException | None = None
 
     def __post_init__(self) -> None:
         self._shared = self.engine.share(self.simulation)
-        self._actions = self.simulation.spaces()[1].shape[0]
+        self._shape = self.simulation.horizon, self.simulation.spaces()[1].shape[0]
+        self._newest = 0
+        self._older: Callable[[int], Policy] | None = None  # gives the policies of before a resume
+        self._policies: dict[int, Any] = {}  # by version, as they are shared with the workers
+        self._queue: deque[tuple[Block, tuple[Any, ...]]] = deque()
+        self._flying: dict[Future, tuple[Block, tuple[Any, ...], float]] = {}
+        self._arrived: dict[int, tuple[Episode, float]] = {}
+        self._attempts: Counter[int] = Counter()
+        self._error: BaseException | None = None
         self._change = threading.Condition(threading.RLock())
-        self._policies = _Policies(self.engine)
 
     def collect(self, policy: Policy) -> list[Episode]:
-        """Return the episodes of the update to be made of `policy`, by index, and start what it is to play.
-
-        Raises EpisodeFailed when an episode cannot be played.
-        """
+        """Start what `policy` plays; return the episodes of the update to be made of it, by index; or EpisodeFailed."""
         with self._change:
-            self._policies.take(policy, self.order.oldest(policy.version))
+            self._newest, oldest = policy.version, self.order.oldest(policy.version)
+            self._policies[policy.version] = self.engine.share(policy)
+            self._policies = {version: kept for version, kept in self._policies.items() if version >= oldest}
             self._enqueue(self.order.policy(policy.version))
             self._fill()
             while self._error is None and (ready := self.order.ready(policy.version, self._arrived)) is None:
@@ -104,12 +99,9 @@ class Collector:
         return [replace(episode, waiting_seconds=now - came) for episode, came in episodes]
 
     def resume(self, version: int, pending: Iterable[tuple[int, int]], policy_of: Callable[[int], Policy]) -> None:
-        """Go on from a checkpoint made before the update of `version`: start what was on its way then.
-
-        pending: pairs of episode and version it was begun with, of those begun and not used. policy_of: by version.
-        """
+        """Go on from before the update of `version`: start what was `pending` then. policy_of: policies by version."""
         with self._change:
-            self._policies.older = policy_of
+            self._older = policy_of
             self._enqueue(self.order.resume(version, pending))
 
     def pending(self) -> list[tuple[int, int]]:
@@ -122,27 +114,23 @@ class Collector:
         self._queue.extend((block, self._driving(block)) for block in blocks)
 
     def _driving(self, block: Block) -> tuple[Any, ...]:
-        return tuple(self._policies.shared(version) for version in block.versions or ())
+        for version in set(block.versions or ()) - set(self._policies):
+            assert self._older is not None
+            self._policies[version] = self.engine.share(self._older(version))
+        return tuple(self._policies[version] for version in block.versions or ())
 
     def _fill(self) -> None:
         while self._queue and self._error is None and len(self._flying) < min(self.engine.slots, self.grid.workers):
             block, driving = self._queue.popleft()
-            block = self.order.started(block, self._policies.newest)
+            block = self.order.started(block, self._newest)
             driving = driving or self._driving(block)
-            horizon = self.simulation.horizon
-            contexts = [
-                context(self.run_seed, index, horizon, self._actions, self.order.asks(block, index))
-                for index in block.indices
-            ]
-            begun = time.perf_counter()
-            future = self.engine.submit(play, self._shared, contexts, *driving, timeout=self._limit())
+            contexts = [context(self.run_seed, k, *self._shape, self.order.asks(block, k)) for k in block.indices]
+            limit, begun = self.time_limit, time.perf_counter()
+            if limit is None:
+                limit = UNKNOWN if self.block_seconds is None else ALLOWANCE + PATIENCE * self.block_seconds
+            future = self.engine.submit(play, self._shared, contexts, *driving, timeout=limit)
             self._flying[future] = block, driving, begun
             future.add_done_callback(self._done)
-
-    def _limit(self) -> float | None:
-        if self.time_limit is not None:
-            return self.time_limit
-        return UNKNOWN if self.block_seconds is None else ALLOWANCE + PATIENCE * self.block_seconds
 
     def _done(self, future: Future) -> None:
         """Take what an engine's thread brings; every way out of here leaves the collector able to go on or to stop."""
@@ -168,9 +156,8 @@ class Collector:
         full = (now - begun) * self.grid.lanes / len(episodes) * self.simulation.horizon / longest
         self.block_seconds = max(self.block_seconds or 0.0, full)
         episodes = [replace(episode, transport_seconds=transport) for episode in episodes]
-        for episode in episodes:
-            self._arrived[episode.index] = episode, now
-        self._enqueue(self.order.came(block, self._policies.newest))
+        self._arrived |= {episode.index: (episode, now) for episode in episodes}
+        self._enqueue(self.order.came(block, self._newest))
         self.seen(episodes)
 
     def _lost(self, block: Block, driving: tuple[Any, ...], error: BaseException) -> None:
@@ -179,35 +166,10 @@ class Collector:
         cause = f"{type(error).__name__}: {error}" if kind == "raised" else str(error)
         attempt = 0
         if len(block.indices) == 1:
-            index = block.indices[0]
-            attempt = self._attempts[index] = self._attempts.get(index, 0) + 1
+            self._attempts[block.indices[0]] += 1
+            attempt = self._attempts[block.indices[0]]
         version = min(map(self.order.begun.__getitem__, block.indices))
         self.failed(Failure(block.indices, version, kind, cause, attempt))
         if attempt >= MOST_FAILURES:
             raise EpisodeFailed(block.indices[0], self.run_seed, cause)
         self._queue.extendleft((alone, driving) for alone in reversed(block.split()))
-
-
-class _Policies:
-    """The policies that episodes are played by, as they are shared with the workers.
-
-    newest: the last version taken. older: gives those of before a resume.
-    """
-
-    def __init__(self, engine: Engine):
-        self.engine, self.newest = engine, 0
-        self.older: Callable[[int], Policy] | None = None
-        self.kept: dict[int, Any] = {}
-
-    def take(self, policy: Policy, oldest: int) -> None:
-        """Share the newest policy, and forget those that no episode still to be started is played by."""
-        self.newest = policy.version
-        self.kept[policy.version] = self.engine.share(policy)
-        self.kept = {version: shared for version, shared in self.kept.items() if version >= oldest}
-
-    def shared(self, version: int) -> Any:
-        """Return what stands for a version in a call."""
-        if version not in self.kept:
-            assert self.older is not None
-            self.kept[version] = self.engine.share(self.older(version))
-        return self.kept[version]

@@ -1,7 +1,6 @@
-"""Where episodes are computed: anything with `submit(fn, *args, timeout) -> Future`, `share`, `slots` and `close()`.
+"""Where episodes are computed. A future ends in fn's result, in its exception, in `WorkerDied` or in `TimedOut`.
 
-A future ends in the result of fn, in the exception fn raised, in `WorkerDied` or in `TimedOut`: who waits can tell them
-apart. Nothing is tried again here; that is the collector's, who knows that an episode made twice has the same bits.
+Nothing is tried again here; that is the collector's, who knows that an episode made twice has the same bits.
 """
 
 import multiprocessing
@@ -30,20 +29,16 @@ class TimedOut(RuntimeError):
 
 
 class Engine(Protocol):
-    """Computes functions of plain arguments, `slots` at a time."""
+    """Computes functions of plain arguments, `slots` at a time, as of now."""
 
     keeps_time: bool
     """Whether a computation past its timeout is ended."""
 
     @property
-    def slots(self) -> int:
-        """How many computations run at once, now."""
+    def slots(self) -> int: ...
 
     def share(self, value: Any) -> Any:
-        """Return what stands for `value` as an argument of `submit`: large values travel once, not with every call.
-
-        What it stands for lives as long as what is returned.
-        """
+        """Return what stands for `value` as an argument of `submit`, as long as it lives: large values travel once."""
 
     def submit(self, fn, *args: Any, timeout: float | None = None) -> Future:
         """Start fn(*args), given at most `timeout` seconds."""
@@ -53,10 +48,9 @@ class Engine(Protocol):
 
 
 class Threads:
-    """Threads of this process: the kernels release the interpreter lock, so `slots` blocks advance at once.
+    """Threads of this process: the kernels release the interpreter lock. `Threads(1)` is the serial engine.
 
-    `Threads(1)` is the serial engine. No process to start and none to lose: a thread cannot be stopped, so `timeout`
-    is not kept.
+    A thread cannot be stopped, so `timeout` is not kept.
     """
 
     keeps_time = False
@@ -86,14 +80,12 @@ class Processes:
 
     def __init__(self, slots: int):
         self.slots = slots
-        self._folder = tempfile.mkdtemp(prefix="manywake-")
-        self._context = _context()
-        self._lock = threading.Lock()
-        self._closed = False
+        self._folder, self._context = tempfile.mkdtemp(prefix="manywake-"), _context()
+        self._lock, self._closed = threading.Lock(), False
         self._free = [self._pool() for _ in range(slots)]
         self._pools = set(self._free)
         for pool in self._free:
-            pool.schedule(_nothing)  # a pool starts its worker with its first task: let all of them start together
+            pool.schedule(int)  # a pool starts its worker with its first task: let all of them start together
 
     def _pool(self) -> ProcessPool:
         pool = ProcessPool(1, initializer=_end_with_parent, initargs=[self._folder], context=self._context)
@@ -103,11 +95,10 @@ class Processes:
         return pool
 
     def share(self, value: Any) -> Any:
-        handle, name = tempfile.mkstemp(dir=self._folder)
-        with os.fdopen(handle, "wb") as file:
+        with tempfile.NamedTemporaryFile(dir=self._folder, delete=False) as file:
             pickle.dump(value, file, pickle.HIGHEST_PROTOCOL)  # read by our own workers only, as from a pipe
-        shared = Shared(name)
-        weakref.finalize(shared, Path(name).unlink, missing_ok=True)
+        shared = Shared(file.name)
+        weakref.finalize(shared, Path(file.name).unlink, missing_ok=True)
         return shared
 
     def submit(self, fn, *args: Any, timeout: float | None = None) -> Future:
@@ -171,10 +162,7 @@ def _read(path: str) -> Any:
 
 
 def call(fn, *args: Any) -> Any:
-    """Compute fn(*args) in a worker, with what was shared in its place.
-
-    An exception that would not survive the way back (its class is unknown there, say) is replaced by its text.
-    """
+    """Compute fn(*args) in a worker. An exception that would not survive the way back is replaced by its text."""
     try:
         return fn(*(_read(value.path) if isinstance(value, Shared) else value for value in args))
     except Exception as error:
@@ -183,10 +171,6 @@ def call(fn, *args: Any) -> Any:
         except Exception:
             raise RuntimeError(f"{type(error).__name__}: {error}") from None
         raise
-
-
-def _nothing() -> None:
-    """Do nothing."""
 
 
 def _told_apart(error: BaseException | None) -> BaseException | None:
@@ -203,7 +187,7 @@ def _told_apart(error: BaseException | None) -> BaseException | None:
 
 
 def _ended(workers: dict[int, Any]) -> tuple[tuple[int, int], ...]:
-    """Take the workers that have ended out of `workers`; return their process numbers and exit codes."""
+    """Take out the workers that have ended; return their process numbers and exit codes."""
     ended = [process for process in tuple(workers.values()) if not process.is_alive()]
     return tuple((process.pid, workers.pop(process.pid).exitcode) for process in ended)
 
@@ -216,23 +200,21 @@ def _stop(pool: ProcessPool) -> None:
 def _context():
     """Return the way to start workers: forked from a server that has imported what they need, where there is one.
 
-    The server starts before any thread of ours can matter to it, and with one BLAS thread, so that forking is safe.
+    It starts before any thread of ours can matter to it, and with one BLAS thread, so that forking is safe.
     """
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["__main__", "manywake.learn.flows"])
-    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
+    alone = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    before = {name: os.environ[name] for name in alone if name in os.environ}
+    os.environ.update(alone)
     try:
         forkserver.ensure_running()
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        for name in alone:
+            del os.environ[name]
+        os.environ.update(before)
     return context
 
 

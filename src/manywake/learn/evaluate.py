@@ -26,13 +26,13 @@ PHASES = 8
 
 @dataclass(frozen=True)
 class Control:
-    """What a controller achieves over a window. C = 2F / (rho U^2 L).
+    """What a controller achieves over a window. C = 2F / (rho U^2 L), C_P = 2P / (rho U^3 L).
 
-    cd_uncontrolled: mean over whole periods of the same mesh and time step. cd_steady: C_D of the steady base flow.
-    drag_reduction: (cd_uncontrolled - cd_controlled) / cd_uncontrolled. share_of_shedding_drag: (cd_uncontrolled -
-    cd_controlled) / (cd_uncontrolled - cd_steady). cl_rms, amplitude_rms: root mean squares about zero, the amplitudes'
-    over all inputs in units of their limits. power: mean C_P = 2P / (rho U^3 L) of the inputs. reward: mean of an
-    action's. diverged: the flow blew up, and the numbers mean nothing.
+    cd_uncontrolled: mean over whole periods of the same mesh and time step. cd_steady: of the steady base flow.
+    drag_reduction: saved / cd_uncontrolled, with saved = cd_uncontrolled - cd_controlled. share_of_shedding_drag: saved
+    / (cd_uncontrolled - cd_steady). cl_rms, amplitude_rms: about zero, the latter over all inputs in units of their
+    limits. power: mean C_P of the inputs. reward: mean of an action's. diverged: the flow blew up; the numbers mean
+    nothing.
     """
 
     cd_uncontrolled: float
@@ -75,15 +75,10 @@ class Evaluation:
     trajectory: Trajectory
 
     def summary(self) -> dict[str, Any]:
-        """Return the numbers: the episode's at the top, the others by name."""
-        return {
-            **_plain(self.episode),
-            "long_run": _plain(self.long_run),
-            "phases": [_plain(control) for control in self.phases],
-        }
+        phases = [_plain(control) for control in self.phases]
+        return {**_plain(self.episode), "long_run": _plain(self.long_run), "phases": phases}
 
     def table(self) -> list[tuple[str, ...]]:
-        """Return what the deterministic policy achieves in second halves, the worst phase included."""
         worst = min(self.phases, key=lambda control: -1.0 if control.diverged else control.drag_reduction)
         windows = (self.episode, self.long_run, worst)
         rows = [
@@ -109,9 +104,9 @@ class Evaluation:
         if (folder / "episodes.csv").exists():
             episodes = tables.columns(folder / "episodes.csv")
             plots.learning_curve(episodes, self.flow.baseline, folder / "learning-curve.png")
-        end = self.trajectory.ends[0]
-        series = {name: part[:, 0] for name, part in self.trajectory.series.items()}
-        plots.wake(self.flow, end, series, self.trajectory.amplitudes[:, :, 0], folder / f"wake{tail}.png")
+        whole, path = self.trajectory, folder / f"wake{tail}.png"
+        series = {name: part[:, 0] for name, part in whole.series.items()}
+        plots.wake(self.flow, whole.ends[0], series, whole.amplitudes[:, :, 0], path)
 
 
 def _plain(control: Control) -> dict[str, Any]:
@@ -164,12 +159,9 @@ def control(base: Baseline, limits: np.ndarray, part: Trajectory, column: int) -
 def window(whole: Trajectory, first: int, last: int) -> Trajectory:
     """Return the part of a trajectory between two solver steps, and the rewards of the actions within."""
     steps = len(whole.amplitudes) // len(whole.rewards)
-    return Trajectory(
-        {name: series[first:last] for name, series in whole.series.items()},
-        whole.amplitudes[first:last],
-        whole.rewards[first // steps : -(-last // steps)],
-        whole.ends,
-    )
+    series = {name: part[first:last] for name, part in whole.series.items()}
+    rewards = whole.rewards[first // steps : -(-last // steps)]
+    return Trajectory(series, whole.amplitudes[first:last], rewards, whole.ends)
 
 
 def evaluate(shared: Any, flow: Flow, task: Task, policy: Policy, engine: Engine) -> Evaluation:
@@ -177,13 +169,10 @@ def evaluate(shared: Any, flow: Flow, task: Task, policy: Policy, engine: Engine
 
     shared: what stands for the simulation of this flow and task in the engine's calls.
     """
-    base = flow.baseline
+    base, actions, share = flow.baseline, LONG_RUN * task.actions, -(-PHASES // engine.slots)
     starts = baseline.phases(flow.operators, base, PHASES)
-    actions = LONG_RUN * task.actions
-    share = -(-PHASES // engine.slots)
-    futures = [
-        engine.submit(_play_policy, shared, policy, starts[k : k + share], actions) for k in range(0, PHASES, share)
-    ]
+    spread = [starts[k : k + share] for k in range(0, PHASES, share)]
+    futures = [engine.submit(_play_policy, shared, policy, some, actions) for some in spread]
     parts = [future.result() for future in futures]
     trajectory = Trajectory(
         {name: np.concatenate([part.series[name] for part in parts], axis=1) for name in parts[0].series},

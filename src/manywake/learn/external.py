@@ -1,7 +1,6 @@
 """Any other simulation behind a Gymnasium environment, played an episode at a time."""
 
 import importlib
-import math
 import os
 import sys
 import threading
@@ -18,7 +17,7 @@ from gymnasium.spaces import Box
 from manywake.learn import policy as policies
 from manywake.learn.engine import Engine
 from manywake.learn.policy import Policy
-from manywake.learn.rollout import Context, Episode, context
+from manywake.learn.rollout import Context, Episode, Evaluated, Simulation, context, play
 
 KIND = "env"
 HORIZON = 160
@@ -28,13 +27,12 @@ EVALUATED = 16
 
 
 @dataclass(frozen=True)
-class External:
+class External(Simulation):
     """An environment by name: `module:factory`, or an id registered with Gymnasium.
 
-    horizon: most actions of an episode; one that gets there is truncated. folder: where the module is looked for
-    besides the installed packages. observation, action: its spaces, flattened to vectors. Each worker (and each thread)
-    makes the environment once, resets it with the episode's seed, and after an error closes it and makes it anew. To
-    give the same bits everywhere it must depend on that seed and the actions only.
+    folder: where the module is looked for besides the installed packages. observation, action: its spaces, flattened.
+    Each thread of each worker makes the environment once, resets it with the episode's seed, and after an error makes
+    it anew. To give the same bits everywhere it must depend on that seed and the actions only.
     """
 
     name: str
@@ -62,7 +60,7 @@ class External:
         assert isinstance(space, Box)
         observation, _ = environment.reset(seed=own.seed)
         observations, actions, log_probs, rewards = [_flat(observation)], [], [], []
-        readings: dict[str, dict[int, float]] = {}
+        infos: list[dict[str, float]] = []
         policy_seconds, begin, terminated = 0.0, time.perf_counter(), False
         for which, noise in zip(own.which, own.noise, strict=True):
             start = time.perf_counter()
@@ -74,85 +72,50 @@ class External:
             actions.append(action[0])
             log_probs.append(log_prob[0])
             rewards.append(float(reward))
-            for key, value in info.items():
-                if np.ndim(value) == 0 and isinstance(value, int | float | np.number):
-                    readings.setdefault(key, {})[len(rewards) - 1] = float(value)
+            infos.append({key: float(x) for key, x in info.items() if isinstance(x, int | float | np.number)})
             if terminated or truncated:
                 break
         if not (np.isfinite(rewards).all() and np.isfinite(observations).all()):
             raise ValueError(f"environment {self.name!r}: got a reward or an observation that is not finite")
-        return Episode(
-            own.index,
-            np.array([policy.version for policy in driving])[own.which[: len(rewards)]],
-            np.stack(observations[:-1]),
-            observations[-1],
-            np.stack(actions),
-            np.array(log_probs),
-            np.array(rewards),
-            {key: np.array([at.get(t, np.nan) for t in range(len(rewards))]) for key, at in readings.items()},
-            bool(terminated),
-            time.perf_counter() - begin - policy_seconds,
-            policy_seconds,
-        )
+        seconds = time.perf_counter() - begin - policy_seconds, policy_seconds
+        versions = np.array([policy.version for policy in driving])[own.which[: len(rewards)]]
+        names = dict.fromkeys(name for each in infos for name in each)
+        readings = {name: np.array([each.get(name, np.nan) for each in infos]) for name in names}
+        seen = np.stack(observations[:-1]), observations[-1]
+        done = np.stack(actions), np.array(log_probs), np.array(rewards)
+        return Episode(own.index, versions, *seen, *done, readings, bool(terminated), *seconds)
 
     def summary(self, episode: Episode) -> dict[str, float]:
         """Return the mean of each scalar of `info`, over the actions that had it, as info_<name>."""
         return {f"info_{name}": float(np.nanmean(series)) for name, series in sorted(episode.readings.items())}
 
-    def gain(self, summary: dict[str, float]) -> float:
-        return math.nan
-
-    def variant(self, seed: int) -> int:
-        return 0
-
-    def expected_seconds(self, lanes: int) -> float | None:
-        return None
-
     def evaluate(self, policy: Policy, engine: Engine) -> "Returns":
         """Play `EVALUATED` episodes of seeds that no training has, without exploration."""
-        quiet = [_quiet(index, self.horizon, self.action.shape[0]) for index in range(EVALUATED)]
-        shared = engine.share(self)
-        futures = [engine.submit(_play, shared, [own], policy) for own in quiet]
-        rewards = [float(episode.rewards.sum()) for future in futures for episode in future.result()]
-        return Returns(rewards)
+        shared, futures = engine.share(self), []
+        for index in range(EVALUATED):
+            drawn = context(2**32, index, self.horizon, self.action.shape[0])  # a run seed past those that users give
+            quiet = replace(drawn, noise=np.zeros_like(drawn.noise))
+            futures.append(engine.submit(play, shared, [quiet], policy))
+        return Returns([float(episode.rewards.sum()) for future in futures for episode in future.result()])
 
     def describe(self) -> dict[str, Any]:
         return {"kind": KIND, "env": self.name, "folder": self.folder, "horizon": self.horizon}
 
-    def save(self, folder: Path) -> dict[str, Any]:
-        return {}
-
 
 @dataclass(frozen=True)
-class Returns:
-    """Sums of rewards of a deterministic policy's episodes."""
+class Returns(Evaluated):
+    """Sums of rewards of a deterministic policy's episodes. What they look like is not known."""
 
     rewards: list[float]
 
     def summary(self) -> dict[str, Any]:
-        spread = float(np.std(self.rewards, ddof=1)) if len(self.rewards) > 1 else 0.0
-        return {"reward_mean": float(np.mean(self.rewards)), "reward_std": spread, "rewards": self.rewards}
+        mean, spread = float(np.mean(self.rewards)), float(np.std(self.rewards, ddof=1))
+        return {"reward_mean": mean, "reward_std": spread, "rewards": self.rewards}
 
     def table(self) -> list[tuple[str, ...]]:
-        numbers = self.summary()
-        return [
-            ("policy without noise", f"{len(self.rewards)} episodes"),
-            ("sum of rewards, mean", f"{numbers['reward_mean']:.4g}"),
-            ("standard deviation", f"{numbers['reward_std']:.3g}"),
-        ]
-
-    def draw(self, folder: Path, tail: str) -> None:
-        """Nothing: what an environment of someone else's looks like is not known."""
-
-
-def _quiet(index: int, horizon: int, actions: int) -> Context:
-    """Return the context of an episode without exploration; its run seed is past those that users give."""
-    drawn = context(2**32, index, horizon, actions)
-    return replace(drawn, noise=np.zeros_like(drawn.noise))
-
-
-def _play(simulation: External, contexts: list[Context], policy: Policy) -> list[Episode]:
-    return simulation.play([policy], contexts)
+        numbers, heads = self.summary(), ("policy without noise", f"{len(self.rewards)} episodes")
+        mean, spread = f"{numbers['reward_mean']:.4g}", f"{numbers['reward_std']:.3g}"
+        return [heads, ("sum of rewards, mean", mean), ("standard deviation", spread)]
 
 
 def _flat(observation) -> np.ndarray:
@@ -160,9 +123,9 @@ def _flat(observation) -> np.ndarray:
 
 
 def open_simulation(name: str, horizon: int, folder: str) -> External:
-    """Return the simulation of an environment's name, after a look at it; ValueError when it cannot be collected.
+    """Return an environment by its name, after a look at it; ValueError when it cannot be collected.
 
-    horizon: most actions of an episode, where the environment was not registered with a limit of its own.
+    horizon: most actions of an episode, where it was not registered with a limit of its own.
     """
     environment = _make(name, folder)
     try:
@@ -178,10 +141,7 @@ def open_simulation(name: str, horizon: int, folder: str) -> External:
 
 
 def reopen(folder: Path, described: dict[str, Any], name: str | None) -> External:
-    """Return what a run played, from the environment's name, which the user gives again.
-
-    described: what `External.describe` wrote. A folder's word alone imports nothing; ValueError without the name.
-    """
+    """Return what a run played, as `External.describe` wrote it; ValueError unless the user gives its name again."""
     if name is None or name != described["env"]:
         raise ValueError(
             f"env: got {name!r} for {folder}, which was made with {described['env']!r}; no module is imported because "
@@ -209,15 +169,12 @@ def _make(name: str, folder: str) -> gymnasium.Env:
         try:
             make = getattr(importlib.import_module(module), factory, None)
         except ImportError as error:
-            raise ValueError(
-                f"env: got {name!r}, but the module {module!r} cannot be loaded ({error}); wanted module:factory, "
-                f"with the module installed or in {folder}"
-            ) from error
+            got = f"env: got {name!r}, but the module {module!r} cannot be loaded ({error})"
+            raise ValueError(f"{got}; wanted module:factory, with the module installed or in {folder}") from error
         if callable(make):
             return make()
     try:
         return gymnasium.make(name)
     except gymnasium.error.Error as error:
-        raise ValueError(
-            f"env: got {name!r} ({error}); wanted module:factory or an id registered with Gymnasium"
-        ) from error
+        wanted = "wanted module:factory or an id registered with Gymnasium"
+        raise ValueError(f"env: got {name!r} ({error}); {wanted}") from error

@@ -22,21 +22,21 @@ from manywake.learn import policy as policies
 from manywake.learn.engine import Engine
 from manywake.learn.evaluate import Evaluation
 from manywake.learn.policy import Policy
-from manywake.learn.rollout import Context, Episode
+from manywake.learn.rollout import Context, Episode, Simulation
 from manywake.suite.load import Chosen
 
 KIND = "flow"
 
 
 @dataclass(frozen=True)
-class Flows:
+class Flows(Simulation):
     """A flow under the task that was chosen for it."""
 
     flow: Flow
     chosen: Chosen
 
     def __reduce__(self):
-        # what a user's file defines travels as what it is, not by the name of a module that is not everywhere
+        # what a user's file defines travels as what it is, not by the name of a module
         return _unpacked, (cloudpickle.dumps((self.flow, self.chosen)),)
 
     @property
@@ -44,14 +44,11 @@ class Flows:
         return self.chosen.task
 
     @property
-    def horizon(self) -> int:
+    def horizon(self) -> int:  # type: ignore[override]
         return self.task.actions
 
     def spaces(self) -> tuple[Box, Box]:
         return spaces(self.flow.case, self.task)
-
-    def variant(self, seed: int) -> int:
-        return 0
 
     def play(self, driving: Sequence[Policy], contexts: list[Context]) -> list[Episode]:
         count, policy_seconds, begin = len(contexts), 0.0, time.perf_counter()
@@ -75,33 +72,25 @@ class Flows:
             diverged |= step.outcome.diverged
             if diverged.all():
                 break
-        flow_seconds = time.perf_counter() - begin - policy_seconds
+        seconds = (time.perf_counter() - begin - policy_seconds) / count, policy_seconds / count
         outcomes = [step.outcome for step in steps]
         readings = {name: np.stack([outcome.means[name] for outcome in outcomes]) for name in flows.free}
         share = np.stack([outcome.amplitude for outcome in outcomes]) / flows.limits[:, None]
         readings["amplitude_rms"] = np.sqrt(np.mean(share**2, axis=1))
-        series = [
-            np.array([policy.version for policy in driving])[which],
-            np.stack([step.observation for step in steps]),
-            np.stack([step.action for step in steps]),
-            np.stack(log_probs),
-            np.stack([outcome.reward for outcome in outcomes]),
-        ]
+        versions = np.array([policy.version for policy in driving])[which]
+        observations, actions = (np.stack([getattr(s, name) for s in steps]) for name in ("observation", "action"))
+        series = versions, observations, actions, np.stack(log_probs), np.stack([o.reward for o in outcomes])
 
-        def one(b: int, index: int) -> Episode:
-            n = length[b]
+        def one(b: int, n: int) -> Episode:
             version, seen, action, log_prob, reward = (part[:n, b].copy() for part in series)
-            mine = {name: part[:n, b].copy() for name, part in readings.items()}
-            last, seconds = steps[n - 1].after[b].copy(), (flow_seconds / count, policy_seconds / count)
-            return Episode(index, version, seen, last, action, log_prob, reward, mine, bool(diverged[b]), *seconds)
+            mine, last = {name: part[:n, b].copy() for name, part in readings.items()}, steps[n - 1].after[b].copy()
+            own = contexts[b].index, version, seen, last, action, log_prob, reward
+            return Episode(*own, mine, bool(diverged[b]), *seconds)
 
-        return [one(b, context.index) for b, context in enumerate(contexts)]
+        return [one(b, n) for b, n in enumerate(length)]
 
     def summary(self, episode: Episode) -> dict[str, float]:
-        """Return means of all readings in total, over the episode and its second half, and the amplitudes' rms.
-
-        The last is over all inputs, in units of their limits.
-        """
+        """Return means of readings in total, over the whole and the second half, and the rms of amplitude / limit."""
         numbers, half = {}, len(episode.rewards) // 2
         for name, series in episode.readings.items():
             if "." not in name and name != "amplitude_rms":
@@ -110,8 +99,7 @@ class Flows:
         return numbers | {"amplitude_rms": math.sqrt(float(np.mean(episode.readings["amplitude_rms"] ** 2)))}
 
     def gain(self, summary: dict[str, float]) -> float:
-        free = self.flow.baseline.free.get("c_d", math.nan)
-        return 1.0 - summary.get("c_d_second_half", math.nan) / free
+        return 1.0 - summary.get("c_d_second_half", math.nan) / self.flow.baseline.free.get("c_d", math.nan)
 
     def expected_seconds(self, lanes: int) -> float | None:
         flows = ControlledFlows(self.flow, self.task, lanes)
@@ -127,19 +115,18 @@ class Flows:
 
     def describe(self) -> dict[str, Any]:
         chosen, definition = self.chosen, self.chosen.definition
-        user = None if definition.shipped or definition.file is None else str(definition.file)
-        settings = _settings(chosen)
+        own, said = not definition.shipped and definition.file is not None, settings(chosen)
         return {
             "kind": KIND,
             "name": definition.name,
             "shipped": definition.shipped,
-            "file": user,
-            "file_sha256": None if definition.shipped else definition.sha256,
+            "file": str(definition.file) if own else None,
+            "file_sha256": definition.sha256 if own else None,
             "protocol": chosen.protocol,
             # those that were given as objects are in the settings, but open nothing
             "overrides": {name: value for name, value in chosen.overrides.items() if _plain(value)},
-            "digest": describe.digest(settings),
-            **settings,
+            "digest": describe.digest(said),
+            **said,
         }
 
     def save(self, folder: Path) -> dict[str, Any]:
@@ -147,7 +134,7 @@ class Flows:
         archive.save(self.flow.operators, folder / "operators.npz")
         definition = self.chosen.definition
         if definition.file is not None and not definition.shipped:
-            (folder / "case.py").write_bytes(definition.file.read_bytes())  # to be read; nothing here runs it
+            (folder / "case.py").write_bytes(definition.content)  # to be read; nothing here runs it
         return {"baseline": self.flow.baseline.digest(), "operators": self.flow.operators.digest}
 
 
@@ -155,7 +142,8 @@ def _unpacked(code: bytes) -> Flows:
     return Flows(*cloudpickle.loads(code))
 
 
-def _settings(chosen: Chosen) -> dict[str, Any]:
+def settings(chosen: Chosen) -> dict[str, Any]:
+    """Return what was chosen to be played, as JSON can hold it; its digest tells it from all else."""
     return {"case": describe.case(chosen.case), "task": describe.task(chosen.case, chosen.task)}
 
 
@@ -169,9 +157,9 @@ def open_flows(chosen: Chosen, progress: Progress | None = None) -> Flows:
 
 
 def reopen(folder: Path, described: dict[str, Any], chosen: Chosen) -> Flows:
-    """Return what a run played, from the operators and the baseline it keeps; ValueError when `chosen` is another case.
+    """Return what a run played, as `Flows.describe` wrote it, from the operators and the baseline it keeps.
 
-    described: what `Flows.describe` wrote. Nothing of the folder is run.
+    Nothing of the folder is run. ValueError when `chosen` is not what was played.
     """
     definition = chosen.definition
     if described["file_sha256"] != (None if definition.shipped else definition.sha256):
@@ -179,13 +167,10 @@ def reopen(folder: Path, described: dict[str, Any], chosen: Chosen) -> Flows:
             f"case: {definition.file or definition.name} is not the file that {folder} was made with (whose sha256 "
             f"begins with {str(described['file_sha256'])[:12]}); a copy of that one, to read, is {folder / 'case.py'}"
         )
-    settings = _settings(chosen)
-    if describe.digest(settings) != described["digest"]:
-        changed = [part for part, value in settings.items() if value != described[part]]
-        raise ValueError(
-            f"case: the {' and the '.join(changed) or 'settings'} of {definition.name!r} are not those that {folder} "
-            "was made with; wanted the version of manywake, or the settings, that made it"
-        )
+    said = settings(chosen)
+    if describe.digest(said) != described["digest"]:
+        changed = " and the ".join(part for part, value in said.items() if value != described[part]) or "settings"
+        got = f"the {changed} of {definition.name!r} are not those that {folder} was made with"
+        raise ValueError(f"case: {got}; wanted the version of manywake, or the settings, that made it")
     base = baseline.load(folder / "baseline.npz", chosen.case)
-    ops = archive.load(folder / "operators.npz", base.mesh)
-    return Flows(Flow(chosen.case, ops, base), chosen)
+    return Flows(Flow(chosen.case, archive.load(folder / "operators.npz", base.mesh), base), chosen)

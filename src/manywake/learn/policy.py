@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -21,9 +20,9 @@ NORMALISED_LIMIT = 10.0
 class Policy:
     """Snapshot of a Gaussian policy with ReLU layers.
 
-    version: how many updates made it. mean, deviation: (values,) of the observation normaliser. layers: pairs of
-    weights (out, in) and biases (out,), single precision as the learner has them; the last gives the mean action; sums
-    are double. log_std, std: (actions,).
+    version: updates that made it. mean, deviation: (values,) of the observation normaliser. layers: pairs of weights
+    (out, in) and biases (out,), single precision; the last gives the mean action; sums are double. log_std, std:
+    (actions,).
     """
 
     version: int
@@ -46,21 +45,10 @@ def _dense(weight, bias, x, floor, out):
 
 def write(policy: Policy, path: Path) -> None:
     """Write a policy, whole or not at all."""
-    layers: dict[str, Any] = {}
-    for number, (weight, bias) in enumerate(policy.layers):
-        layers |= {f"weight{number}": weight, f"bias{number}": bias}
-    disk.write(
-        path,
-        lambda file: np.savez(
-            file,
-            version=np.array(policy.version),
-            mean=policy.mean,
-            deviation=policy.deviation,
-            log_std=policy.log_std,
-            std=policy.std,
-            **layers,
-        ),
-    )
+    arrays = {**vars(policy), "version": np.array(policy.version)}
+    for number, (weight, bias) in enumerate(arrays.pop("layers")):
+        arrays |= {f"weight{number}": weight, f"bias{number}": bias}
+    disk.write(path, lambda file: np.savez(file, **arrays))
 
 
 def read(path: Path) -> Policy:

@@ -55,10 +55,9 @@ class RunningNorm(BaseFeaturesExtractor):
 
 
 class RateSchedule:
-    """The learning rate of an update, linear in the episodes collected before it.
+    """The learning rate of an update, linear in the episodes collected before it: the first has all of it.
 
-    SB3 asks after the update's own episodes have been counted, so their share is added back to what is left: the first
-    update is made at `learning_rate`, and none at `learning_rate_end`, which lies one update past the last.
+    SB3 asks after the update's own episodes have been counted, so their share is added back to what is left.
     """
 
     def __init__(self, learning: Learning):
@@ -81,10 +80,7 @@ class SpacesOnly(gymnasium.Env):
 
 @dataclass
 class Hooks:
-    """What a run wants to know: a batch just before the update made of it, and when that has been made.
-
-    converged: asked before each batch; True ends the training.
-    """
+    """Called with a batch before and after the update made of it. converged: True before a batch ends the training."""
 
     collected: Callable[["EpisodicPPO", list[Episode]], None] = lambda model, episodes: None
     updated: Callable[["EpisodicPPO", list[Episode]], None] = lambda model, episodes: None
@@ -95,7 +91,7 @@ class EpisodicPPO(PPO):
     """PPO whose rollouts are whole episodes from a collector. `num_timesteps` counts full horizons.
 
     version: updates made. clipped_before: share of the samples whose probability ratio lies outside the clip range
-    before the update begins: nought when all were drawn by the policy that is updated.
+    before the update: nought when all were drawn by the policy that is updated.
     """
 
     collector: Collector
@@ -119,39 +115,27 @@ class EpisodicPPO(PPO):
         observations = np.concatenate([episode.observations for episode in episodes])
         actions = np.concatenate([episode.actions for episode in episodes])
         log_probs = torch.from_numpy(np.concatenate([episode.log_probs for episode in episodes]).astype(np.float32))
+        ends = np.stack([episode.last_observation for episode in episodes])
         with torch.no_grad():
-            distribution = self.policy.get_distribution(obs_as_tensor(observations, self.device))
-            ratio = torch.exp(distribution.log_prob(torch.from_numpy(actions)) - log_probs)
+            ratio = torch.exp(self._log_probs(observations, actions) - log_probs)
             self.clipped_before = float((abs(ratio - 1) > self.learning.clip_range).float().mean())
-        normaliser(self).update(observations)
-        if self.learning.ratio_to == "current":
-            with torch.no_grad():
-                distribution = self.policy.get_distribution(obs_as_tensor(observations, self.device))
-                log_probs = distribution.log_prob(torch.from_numpy(actions))
-
-        total = len(observations)
-        buffer = RolloutBuffer(
-            total, self.observation_space, self.action_space, self.device, self.gae_lambda, self.gamma, n_envs=1
-        )
-        with torch.no_grad():
+            normaliser(self).update(observations)
+            if self.learning.ratio_to == "current":
+                log_probs = self._log_probs(observations, actions)
             values = self.policy.predict_values(obs_as_tensor(observations, self.device)).cpu()
-            ends = np.stack([episode.last_observation for episode in episodes])
             end_values = self.policy.predict_values(obs_as_tensor(ends, self.device)).cpu().numpy()[:, 0]
-        k = 0
+        rewards, starts = [], []
         for episode, end_value in zip(episodes, end_values, strict=True):
-            rewards = episode.rewards.astype(np.float32)
+            rewards.append(episode.rewards.astype(np.float32))
             if not episode.terminated:
-                rewards[-1] += self.gamma * end_value
-            for t in range(len(rewards)):
-                buffer.add(
-                    episode.observations[t][None],
-                    episode.actions[t][None],
-                    rewards[t : t + 1],
-                    np.array([t == 0]),
-                    values[k],
-                    log_probs[k : k + 1],
-                )
-                k += 1
+                rewards[-1][-1] += self.gamma * end_value
+            starts.append(np.arange(len(episode.rewards)) == 0)
+        reward, start = np.concatenate(rewards), np.concatenate(starts)
+        spaces = self.observation_space, self.action_space
+        buffer = RolloutBuffer(len(observations), *spaces, self.device, self.gae_lambda, self.gamma, n_envs=1)
+        for k in range(len(observations)):
+            at = slice(k, k + 1)
+            buffer.add(observations[at], actions[at], reward[at], start[at], values[k], log_probs[at])
         buffer.compute_returns_and_advantage(last_values=torch.zeros(1), dones=np.ones(1))
         self.rollout_buffer = buffer
         self.num_timesteps += len(episodes) * self.collector.simulation.horizon
@@ -167,9 +151,15 @@ class EpisodicPPO(PPO):
         callback.on_rollout_end()
         return True
 
+    def _log_probs(self, observations: np.ndarray, actions: np.ndarray) -> torch.Tensor:
+        distribution = self.policy.get_distribution(obs_as_tensor(observations, self.device))
+        return distribution.log_prob(torch.from_numpy(actions))
+
     def train(self) -> None:
         """Update as PPO does, from a generator state that depends on (run seed, version) only."""
-        seed_update(self.collector.run_seed, self.version)
+        words = np.random.SeedSequence(self.collector.run_seed, spawn_key=(self.version, 2)).generate_state(2)
+        np.random.seed(int(words[0]))  # noqa: NPY002 - SB3 shuffles its minibatches with NumPy's global generator
+        torch.manual_seed(int(words[1]))
         super().train()
         self.version += 1
         self.hooks.updated(self, self._batch)
@@ -177,36 +167,23 @@ class EpisodicPPO(PPO):
 
 def digest(model: PPO) -> str:
     """Return the hash of the policy: weights of actor and critic, and the normaliser."""
-    state = {name: tensor.cpu().numpy() for name, tensor in model.policy.state_dict().items()}
-    return disk.digest(state)
-
-
-def seed_update(run_seed: int, version: int) -> None:
-    """Seed the global generators for one update, so that it depends on (run seed, version) only."""
-    words = np.random.SeedSequence(run_seed, spawn_key=(version, 2)).generate_state(2)
-    np.random.seed(int(words[0]))  # noqa: NPY002 - SB3 shuffles its minibatches with NumPy's global generator
-    torch.manual_seed(int(words[1]))
+    return disk.digest({name: tensor.cpu().numpy() for name, tensor in model.policy.state_dict().items()})
 
 
 def build(learning: Learning, collector: Collector) -> EpisodicPPO:
     """Make the learner; its first weights depend on the run seed only."""
     torch.set_num_threads(learning.learner_threads)
-    samples = learning.update_period * collector.simulation.horizon
+    samples, hidden = learning.update_period * collector.simulation.horizon, list(learning.hidden)
+    alike = ("n_epochs", "gamma", "gae_lambda", "clip_range", "ent_coef", "vf_coef", "max_grad_norm")
     model = EpisodicPPO(
         "MlpPolicy",
         DummyVecEnv([lambda: SpacesOnly(*collector.simulation.spaces())]),
         learning_rate=RateSchedule(learning),
         n_steps=samples,
         batch_size=min(learning.batch_size, samples),
-        n_epochs=learning.n_epochs,
-        gamma=learning.gamma,
-        gae_lambda=learning.gae_lambda,
-        clip_range=learning.clip_range,
-        ent_coef=learning.ent_coef,
-        vf_coef=learning.vf_coef,
-        max_grad_norm=learning.max_grad_norm,
+        **{name: getattr(learning, name) for name in alike},
         policy_kwargs={
-            "net_arch": {"pi": list(learning.hidden), "vf": list(learning.hidden)},
+            "net_arch": {"pi": hidden, "vf": hidden},
             "activation_fn": torch.nn.ReLU,
             "features_extractor_class": RunningNorm,
             "log_std_init": learning.log_std_init,
@@ -235,12 +212,7 @@ def from_state(state: dict[str, torch.Tensor], version: int = 0) -> Policy:
     values = {name: tensor.detach().cpu().numpy().copy() for name, tensor in state.items()}
     hidden = [name for name in values if name.startswith("mlp_extractor.policy_net") and name.endswith(".weight")]
     layers = [name.removesuffix(".weight") for name in [*hidden, "action_net.weight"]]
+    weights = tuple((values[f"{layer}.weight"], values[f"{layer}.bias"]) for layer in layers)
+    deviation = np.sqrt(values["features_extractor.variance"] + VARIANCE_FLOOR)
     log_std = values["log_std"].astype(np.float64)
-    return Policy(
-        version,
-        values["features_extractor.mean"],
-        np.sqrt(values["features_extractor.variance"] + VARIANCE_FLOOR),
-        tuple((values[f"{layer}.weight"], values[f"{layer}.bias"]) for layer in layers),
-        log_std,
-        np.exp(log_std),
-    )
+    return Policy(version, values["features_extractor.mean"], deviation, weights, log_std, np.exp(log_std))

@@ -15,9 +15,8 @@ from manywake.learn.engine import TimedOut, WorkerDied, call
 class Ray:
     """Tasks of a Ray cluster, or of a Ray of our own on this machine.
 
-    slots: at most this many tasks at once; fewer while the cluster has fewer cores. cpus: cores a task takes. address:
-    of a running cluster (`auto` finds it); without one, Ray is started here, listens on the loopback interface only,
-    and ends with `close()`.
+    slots: most tasks at once; fewer while the cluster has fewer cores. cpus: cores a task takes. address: of a running
+    cluster (`auto` finds it); without one Ray is started here, on the loopback interface only, and ends with `close()`.
     """
 
     keeps_time = True
@@ -28,33 +27,24 @@ class Ray:
             from ray import exceptions
             from ray._private import ray_constants
         except ImportError as error:
-            raise RuntimeError(
-                f"engine: ray cannot be loaded ({error}); install it with: pip install 'manywake[ray]'"
-            ) from error
-        self._ray, self._exceptions = ray, exceptions
-        self._most, self._cpus = slots, cpus
+            remedy = "install it with: pip install 'manywake[ray]'"
+            raise RuntimeError(f"engine: ray cannot be loaded ({error}); {remedy}") from error
+        self._ray, self._exceptions, self._most, self._cpus = ray, exceptions, slots, cpus
         # Ray puts its own handler in the place of the trainer's
         before = signal.getsignal(signal.SIGTERM) if threading.current_thread() is threading.main_thread() else None
         self._mine = not ray.is_initialized()
+        quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.WARNING}
         if self._mine and address is None:
             # else Ray takes the loopback address to stand for the machine's own; no public option says otherwise
             ray_constants.ENABLE_RAY_CLUSTER = False
-            ray.init(
-                address="local",
-                num_cpus=max(1, round(slots * cpus)),
-                include_dashboard=False,
-                _node_ip_address="127.0.0.1",
-                log_to_driver=False,
-                logging_level=logging.WARNING,
-            )
+            own: dict[str, Any] = {"num_cpus": max(1, round(slots * cpus)), "include_dashboard": False}
+            ray.init(address="local", _node_ip_address="127.0.0.1", **own, **quiet)
         elif self._mine:
             try:
-                ray.init(address=address, log_to_driver=False, logging_level=logging.WARNING)
+                ray.init(address=address, **quiet)
             except (ConnectionError, ValueError) as error:
-                raise RuntimeError(
-                    f"address: got {address!r}, where no Ray cluster answers ({error}); start one with: "
-                    "ray start --head, or leave --address out"
-                ) from error
+                got = f"address: got {address!r}, where no Ray cluster answers ({error})"
+                raise RuntimeError(f"{got}; start one with: ray start --head, or leave --address out") from error
         if before is not None:
             signal.signal(signal.SIGTERM, before)
         # no retries: a lost episode is made again by the collector, who counts it
@@ -69,8 +59,7 @@ class Ray:
         return self._ray.put(value)
 
     def submit(self, fn, *args: Any, timeout: float | None = None) -> Future:
-        reference = self._call.remote(timeout, fn, *args)
-        begun = time.monotonic()
+        reference, begun = self._call.remote(timeout, fn, *args), time.monotonic()
         outer: Future = Future()
         outer.set_running_or_notify_cancel()
 

@@ -15,8 +15,7 @@ from manywake.learn.train import plan
 class Replay:
     """An episode played again.
 
-    recorded: its row in episodes.csv, None when it never got there. same: whether all its numbers but the times agree
-    to the bit; None without a row.
+    recorded: its row in episodes.csv, if it got there. same: whether all its numbers but the times agree to the bit.
     """
 
     episode: Episode
@@ -28,16 +27,15 @@ class Replay:
 def replay(run: Run, simulation: Simulation, index: int) -> Replay:
     """Play one episode of a run again. simulation: what the run played, opened again."""
     settings = run.settings
-    table = {int(row["episode"]): row for row in tables.read(run.folder / "episodes.csv")}
-    recorded = table.get(index)
+    recorded = {int(row["episode"]): row for row in tables.read(run.folder / "episodes.csv")}.get(index)
     asks = _played_by(run, settings, index, recorded, simulation.horizon)
     versions, which = np.unique(asks, return_inverse=True)
     own = context(settings.seed, index, simulation.horizon, simulation.spaces()[1].shape[0], which)
     episode = simulation.play([run.version(int(version)) for version in versions], [own])[0]
     numbers = rows.played(simulation, episode)
-    same = (
-        all(recorded[name] == str(value) for name, value in numbers.items() if name in recorded) if recorded else None
-    )
+    same = None
+    if recorded is not None:
+        same = all(recorded[name] == str(value) for name, value in numbers.items() if name in recorded)
     return Replay(episode, numbers, recorded, same)
 
 

@@ -1,5 +1,6 @@
 """Episodes: what the learner asks for. An episode is a function of its arguments only."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,10 +20,9 @@ class Episode:
 
     observations: (T, values) before each action, last_observation: (values,) after the last. actions: (T, actions) as
     drawn, before clipping, with their log_probs (T,). rewards: (T,). readings: named scalars of each action, (T,).
-    terminated: it ended at a terminal state (a flow that blew up), which has no value; otherwise the horizon was
-    reached. versions: (T,) of the policies that drew the actions.
-    flow_seconds, policy_seconds: this episode's share of its block's time; transport_seconds, waiting_seconds: its
-    share of the rest of the way to the learner, and how long it then lay there until an update used it.
+    terminated: it ended at a state without value (a flow that blew up), not at the horizon. versions: (T,) of the
+    policies that drew the actions. flow_seconds, policy_seconds: its share of its block's time. transport_seconds: of
+    the rest of the way to the learner. waiting_seconds: how long it then lay there until an update used it.
     """
 
     index: int
@@ -42,12 +42,10 @@ class Episode:
 
 @dataclass(frozen=True)
 class Context:
-    """What is one episode's own, and not the simulation's or the policies'.
+    """What is one episode's own. seed: of the simulation. noise: (horizon, actions). which: policy of each action.
 
-    seed: for the simulation. noise: of the actions, (horizon, actions). which: of the policies the episode is played
-    with, the one that draws each action, (horizon,). The noise is drawn where the learner is and not where the episode
-    is played: the normal distribution's tail asks the machine's mathematical library for logarithms, and two machines
-    need not agree on the last bit.
+    The noise is drawn where the learner is, not where the episode is played: the normal distribution's tail asks the
+    machine's mathematical library for logarithms, and two machines need not agree on the last bit.
     """
 
     index: int
@@ -56,45 +54,44 @@ class Context:
     which: np.ndarray
 
 
-def _sequence(run_seed: int, index: int) -> np.random.SeedSequence:
-    return np.random.SeedSequence(run_seed, spawn_key=(index,))
-
-
 def seed(run_seed: int, index: int) -> int:
     """Return the seed of an episode's simulation: it names the episode, not the process that plays it."""
-    return int(_sequence(run_seed, index).generate_state(1)[0])
+    return int(np.random.SeedSequence(run_seed, spawn_key=(index,)).generate_state(1)[0])
 
 
 def context(run_seed: int, index: int, horizon: int, actions: int, asks: ArrayLike = (0,)) -> Context:
     """Return the context of one episode. asks: which policy draws the actions of each of equal parts of the horizon."""
-    noise = np.random.default_rng(_sequence(run_seed, index)).standard_normal((horizon, actions))
-    asks = np.asarray(asks)
+    sequence, asks = np.random.SeedSequence(run_seed, spawn_key=(index,)), np.asarray(asks)
+    noise = np.random.default_rng(sequence).standard_normal((horizon, actions))
     which = asks[np.arange(horizon) * len(asks) // horizon].astype(np.int16)
     return Context(index, seed(run_seed, index), noise, which)
 
 
 class Evaluated(Protocol):
-    """What an evaluation found: numbers as JSON can hold them, rows to be shown (heads first), pictures in a folder."""
+    """What an evaluation found: numbers as JSON can hold them, rows to be shown (heads first), pictures, if any."""
 
     def summary(self) -> dict[str, Any]: ...
 
     def table(self) -> list[tuple[str, ...]]: ...
 
-    def draw(self, folder: Path, tail: str) -> None: ...
+    def draw(self, folder: Path, tail: str) -> None:
+        return
 
 
 class Simulation(Protocol):
-    """What can be played: a description that travels to the workers once. Nothing of `learn` knows which it is."""
+    """What can be played: a description that travels to the workers once. Nothing of `learn` knows which it is.
 
-    @property
-    def horizon(self) -> int:
-        """Most actions of an episode."""
+    horizon: most actions of an episode.
+    """
+
+    horizon: int
 
     def spaces(self) -> tuple[Box, Box]:
         """Return the observation and the action space."""
 
     def variant(self, seed: int) -> int:
         """Return which of its variants, its Reynolds numbers say, an episode's seed draws; a block has one only."""
+        return 0
 
     def play(self, driving: Sequence[Policy], contexts: list[Context]) -> list[Episode]:
         """Play episodes of one variant side by side and return them in the order asked for."""
@@ -104,9 +101,11 @@ class Simulation(Protocol):
 
     def gain(self, summary: dict[str, float]) -> float:
         """Return what an episode saved, as a share of what there was without control; NaN where there is no such."""
+        return math.nan
 
     def expected_seconds(self, lanes: int) -> float | None:
         """Return about how long a block of `lanes` episodes takes, compiling excluded; None if that is not known."""
+        return None
 
     def evaluate(self, policy: Policy, engine: Engine) -> Evaluated:
         """Return what the deterministic policy achieves."""
@@ -116,3 +115,9 @@ class Simulation(Protocol):
 
     def save(self, folder: Path) -> dict[str, Any]:
         """Keep in a run's folder what playing on needs; return its hashes."""
+        return {}
+
+
+def play(simulation: Simulation, contexts: list[Context], *driving: Policy) -> list[Episode]:
+    """Play a block in a worker."""
+    return simulation.play(driving, contexts)

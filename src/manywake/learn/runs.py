@@ -21,7 +21,7 @@ FORMAT = 2
 
 
 class Run:
-    """A run folder."""
+    """A run folder: what it was begun with, and the policy after each update."""
 
     def __init__(self, folder: Path):
         self.folder = folder
@@ -31,28 +31,23 @@ class Run:
         """Return what settings.json says; ValueError when the folder is no run, or one of another version."""
         path = self.folder / "settings.json"
         if not path.exists():
-            raise ValueError(
-                f"run: got {self.folder}, which has no settings.json; wanted a folder made by manywake train"
-            )
+            wanted = "which has no settings.json; wanted a folder made by manywake train"
+            raise ValueError(f"run: got {self.folder}, {wanted}")
         try:
             data = json.loads(path.read_text())
         except ValueError as error:
             raise ValueError(f"run: {path} is damaged ({error})") from error
         if not isinstance(data, dict) or data.get("format") != FORMAT:
             made = data.get("versions", {}).get("manywake", "0.1.0") if isinstance(data, dict) else "something else"
-            raise ValueError(
-                f"run: {self.folder} was made by manywake {made}, whose runs this version cannot play; "
-                "install that version, or train anew"
-            )
+            got = f"{self.folder} was made by manywake {made}, whose runs this version cannot play"
+            raise ValueError(f"run: {got}; install that version, or train anew")
         return data
 
     @property
     def settings(self) -> Settings:
-        """Return the settings the run was made with."""
         data = self.described()
-        return Settings(
-            _from_plain(Learning, data["learning"]), _from_plain(Collection, data["collection"]), data["seed"]
-        )
+        learning, collection = _from_plain(Learning, data["learning"]), _from_plain(Collection, data["collection"])
+        return Settings(learning, collection, data["seed"])
 
     @property
     def simulation(self) -> dict[str, Any]:
@@ -61,7 +56,6 @@ class Run:
 
     @property
     def layout(self) -> Layout:
-        """Return the layout the run was begun with."""
         return Layout(**self.described()["layout"])
 
     def version_path(self, number: int) -> Path:

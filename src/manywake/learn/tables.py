@@ -44,14 +44,11 @@ def untimed(table: list[dict[str, str]]) -> list[tuple[str, ...]]:
 
 def cut(path: Path, version: int | None) -> None:
     """Drop the rows of a table that are of updates from `version` on, to be made again, and what was cut short."""
-    if not path.exists():
+    text = path.read_text() if path.exists() else ""
+    header, *table = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1]))) or [[]]
+    if not table:
+        path.unlink(missing_ok=True)
         return
-    text = path.read_text()
-    lines = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1])))
-    if len(lines) < 2:
-        path.unlink()
-        return
-    header, *table = lines
     kept = table if version is None else [row for row in table if int(row[header.index("update")]) < version]
     out = io.StringIO()
     csv.writer(out).writerows([header, *kept])

@@ -33,10 +33,9 @@ def quiet(episodes: list[Episode], shares: Shares, failures: int) -> None:
 
 @dataclass(frozen=True)
 class Trained:
-    """What a training leaves: wall time and policy hash, and when it first gained shares of what there is to gain.
+    """What a training leaves. failures: blocks that were lost and played again.
 
-    reached: gain (drag reduction, for a flow) of the exploring episodes of an update, so the noise's drag is in it, ->
-    (episodes, seconds), or None. failures: blocks that were lost and played again.
+    reached: gain (drag reduction, for a flow) of an update's exploring episodes -> when first: (episodes, seconds).
     """
 
     wall_time_s: float
@@ -57,10 +56,9 @@ class Training:
         self._since = self._learning_since = time.perf_counter()
 
     def failed(self, failure: Failure) -> None:
-        """Write down a block that was lost."""
         self.failures += 1
-        row = rows.failure(failure, time.perf_counter() - self.started)
-        tables.append(self.run.folder / "failures.csv", [row])
+        wall, episodes = round(time.perf_counter() - self.started, 3), " ".join(map(str, failure.episodes))
+        tables.append(self.run.folder / "failures.csv", [{"wall_s": wall, **asdict(failure), "episodes": episodes}])
 
     def collected(self, model: EpisodicPPO, episodes: list[Episode]) -> None:
         """Keep the best policy: the one that played these episodes, before the update made of them."""
@@ -71,43 +69,33 @@ class Training:
             checkpoints.save(model, self.progress, self.run, "best")
 
     def converged(self, model: EpisodicPPO) -> bool:
-        """Return whether the last `patience` updates brought no better episodes."""
         patience = model.learning.patience
         return patience is not None and model.version - 1 - self.progress.best_version >= patience
 
     def updated(self, model: EpisodicPPO, episodes: list[Episode]) -> None:
         """Write the rows of an update and its episodes, then the checkpoint, which is what a resume goes by."""
-        now, number, folder = time.perf_counter(), model.version - 1, self.run.folder
-        clocks = Clocks(
-            self._learning_since - self._since,
-            now - self._learning_since,
-            self._learning_since - self.started,
-            now - self.started,
-        )
+        now, number, between = time.perf_counter(), model.version - 1, self._learning_since
+        clocks = Clocks(between - self._since, now - between, between - self.started, now - self.started)
         self.shares.count(episodes, min(self.collector.engine.slots, self.collector.grid.workers), clocks)
-        clock = rows.came(episodes, clocks.collected, self.plan, self.settings.collection.clock == "virtual")
+        virtual = self.settings.collection.clock == "virtual"
+        clock = rows.came(episodes, clocks.collected, self.plan if virtual else None)
         learner, simulation = clocks.learning / len(episodes), self.collector.simulation
         table = [rows.episode(simulation, one, number, learner, clocks, clock[one.index]) for one in episodes]
-        tables.append(folder / "episodes.csv", table)
+        tables.append(self.run.folder / "episodes.csv", table)
         at_once = rows.at_once(number, clocks.collecting, self.plan)
         self.progress.burst = self.progress.burst + 1 if at_once else 0
         logged = {**model.logger.name_to_value, "train/clipped_before": model.clipped_before}
-        last = max(clock.values())
-        row = rows.update(number, episodes, logged, self.progress.burst, clocks, last)
-        tables.append(folder / "updates.csv", [row])
-        self._note_gain(table, model.version * len(episodes), clocks.collected)
-        self.checkpoint(model)
-        self._since = time.perf_counter()
-
-    def _note_gain(self, table: list[dict], episodes: int, wall: float) -> None:
-        whole = [self.collector.simulation.gain(row) for row in table if not row["terminated"]]
+        row = rows.update(number, episodes, logged, self.progress.burst, clocks, max(clock.values()))
+        tables.append(self.run.folder / "updates.csv", [row])
+        whole = [simulation.gain(row) for row in table if not row["terminated"]]
         gain = float(np.mean(whole)) if whole else np.nan
         for share, when in self.progress.reached.items():
             if when is None and gain >= float(share):
-                self.progress.reached[share] = (episodes, wall)
+                self.progress.reached[share] = (model.version * len(episodes), clocks.collected)
+        self.checkpoint(model)
+        self._since = time.perf_counter()
 
     def checkpoint(self, model: EpisodicPPO) -> None:
-        """Write down where the training stands: after a whole number of updates."""
         self.progress.version, self.progress.pending = model.version, self.collector.pending()
         self.progress.wall_s = time.perf_counter() - self.started
         checkpoints.checkpoint(self.run, model, self.progress)
@@ -128,34 +116,22 @@ def plan(settings: Settings, grid: Layout, horizon: int) -> Plan | None:
 def train(
     folder: Path, simulation: Simulation, settings: Settings, engine: Engine, grid: Layout, show: Show = quiet
 ) -> Trained:
-    """Train into a new run folder; ValueError when it already holds a run or cannot be written.
-
-    show: called with each block of episodes that comes, where the time went so far, and how many blocks were lost.
-    """
-    run = Run(folder)
-    planned = plan(settings, grid, simulation.horizon)
+    """Train into a new run folder; ValueError when it already holds a run or cannot be written."""
+    run, planned = Run(folder), plan(settings, grid, simulation.horizon)
     collector = _collector(settings, simulation, engine, grid, planned)
     with runs.held(folder):
         if (folder / "settings.json").exists():
-            raise ValueError(
-                f"run: {folder} already holds a training; choose another --run, delete it, "
-                f"or go on with: manywake resume {folder}"
-            )
+            remedy = f"choose another --run, delete it, or go on with: manywake resume {folder}"
+            raise ValueError(f"run: {folder} already holds a training; {remedy}")
         model = ppo.build(settings.learning, collector)
         _check_space(folder, model)
         kept = simulation.save(folder)
         training = Training(run, settings, collector, planned, Progress())
         training.checkpoint(model)
-        described = {
-            "format": runs.FORMAT,
-            "simulation": simulation.describe(),
-            **asdict(settings),
-            "layout": asdict(grid),
-            "kept": kept,
-            "versions": {name: version(name) for name in ("manywake", "numba", "numpy", "stable-baselines3", "torch")},
-            "python": platform.python_version(),
-        }
-        runs.write_json(folder / "settings.json", described)
+        described = {"format": runs.FORMAT, "simulation": simulation.describe(), **asdict(settings)}
+        versions = {name: version(name) for name in ("manywake", "numba", "numpy", "stable-baselines3", "torch")}
+        made = {"layout": asdict(grid), "kept": kept, "versions": versions, "python": platform.python_version()}
+        runs.write_json(folder / "settings.json", described | made)
         return _learn(training, model, show)
 
 
@@ -171,8 +147,7 @@ def resume(
 
     simulation: what the run played, opened again. time_limit: seconds a block may take, in place of the run's own.
     """
-    run = Run(folder)
-    settings = run.settings
+    run, settings = Run(folder), Run(folder).settings
     if time_limit is not None:
         settings = replace(settings, collection=replace(settings.collection, time_limit=time_limit))
     with runs.held(folder):
@@ -218,15 +193,11 @@ def _learn(training: Training, model: EpisodicPPO, show: Show) -> Trained:
         if left:
             model.learn(left, reset_num_timesteps=False)
     except EpisodeFailed as error:
-        raise RuntimeError(
-            f"{error}; play it alone with: manywake replay {folder} {error.index}; "
-            f"then go on with: manywake resume {folder}"
-        ) from error
+        alone = f"play it alone with: manywake replay {folder} {error.index}"
+        raise RuntimeError(f"{error}; {alone}; then go on with: manywake resume {folder}") from error
     except OSError as error:
-        raise RuntimeError(
-            f"run: cannot write {error.filename or folder} ({error}); make room, then go on with: "
-            f"manywake resume {folder}"
-        ) from error
+        what = f"run: cannot write {error.filename or folder} ({error})"
+        raise RuntimeError(f"{what}; make room, then go on with: manywake resume {folder}") from error
     finally:
         model.logger.close()
     episodes = model.version * learning.update_period
@@ -240,7 +211,5 @@ def _check_space(folder: Path, model: EpisodicPPO) -> None:
     wanted = 4 * 3 * weights + versions * weights // 2 + 30e6  # checkpoints with Adam's moments, versions, the rest
     free = shutil.disk_usage(folder).free
     if free < wanted:
-        raise ValueError(
-            f"run: {folder} has {free / 1e6:.0f} MB of free space, wanted {wanted / 1e6:.0f} MB; "
-            "make room or choose another --run"
-        )
+        got = f"{folder} has {free / 1e6:.0f} MB of free space, wanted {wanted / 1e6:.0f} MB"
+        raise ValueError(f"run: {got}; make room or choose another --run")
