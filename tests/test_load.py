@@ -1,12 +1,13 @@
 """Cases by name, by file and from Python; single settings overridden by their names; files that travel to workers."""
 
 import hashlib
+import math
 
 import cloudpickle
 import numpy as np
 import pytest
 
-from manywake.case import Exponential, Held, Jet, Learning, Linear, Pressure, alike, replace
+from manywake.case import Exponential, Held, Jet, Learning, Linear, Pressure, alike, describe, replace
 from manywake.case.schemes import GODA
 from manywake.learn import flows
 from manywake.learn.engine import Processes, Threads
@@ -131,6 +132,12 @@ def test_a_case_made_in_python_is_chosen_with_its_task():
     assert (chosen.task, chosen.learning) == (replace(task, actions=40), Learning())
     definition = chosen.definition
     assert (definition.name, definition.file, definition.sha256, definition.shipped) == ("python", None, None, False)
+
+
+def test_a_reward_without_a_value_somewhere_is_described_by_its_error_there():
+    chosen = load.choose("cylinder-jets", reward=lambda now, free: math.log(now["c_d"]))
+    values = describe.task(chosen.case, chosen.task)["reward"]["values"]
+    assert "ValueError" in values and any(isinstance(value, float) for value in values)
 
 
 def test_a_task_made_in_python_is_played_on_a_case_by_name():

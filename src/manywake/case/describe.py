@@ -39,8 +39,8 @@ def task(chosen: Case, task: Task) -> dict[str, Any]:
     """Return all that a task says; its reward and its charge by their names and some values."""
     free = {name: 3.0 - 0.5 * k for k, name in enumerate(readings(chosen))}
     samples = [{name: math.sin(1.0 + k * (j + 2)) for j, name in enumerate(free)} for k in range(5)]
-    rewards = [_digits(task.reward(now, free)) for now in samples]
-    charges = [_digits(task.charge(task.reward, free, left)) for left in (1, 7)]
+    rewards = [_value(task.reward, now, free) for now in samples]
+    charges = [_value(task.charge, task.reward, free, left) for left in (1, 7)]
     reward, charge = {"name": _name(task.reward), "values": rewards}, {"name": _name(task.charge), "values": charges}
     return plain(vars(task) | {"reward": reward, "charge": charge})
 
@@ -67,6 +67,14 @@ def geometry_digest(chosen: Case) -> str:
 
 def _name(function: Callable) -> str:
     return getattr(function, "__name__", type(function).__name__)
+
+
+def _value(function: Callable, *of: Any) -> float | str:
+    """Return a value to ten digits; the kind of its error where a function has none, as the root of a negative drag."""
+    try:
+        return _digits(function(*of))
+    except (ArithmeticError, ValueError) as error:
+        return type(error).__name__
 
 
 def _digits(number: float) -> float:

@@ -128,11 +128,6 @@ def advance(ops: Operators, state: State, amplitudes: np.ndarray) -> tuple[State
     that is no longer finite stays in its lane and harms nobody. Method: docs/numerics.md, eq. 4-14.
     """
     steps, count, width = amplitudes.shape
-    expected = (len(ops.inputs), simd.numbers(state.u).shape[-1])
-    if (count, width) != expected:
-        raise ValueError(
-            f"amplitudes: expected (steps, {expected[0]}, {expected[1]}), got {amplitudes.shape}; lanes are last"
-        )
     given = simd.zeros((steps, count), width)
     simd.numbers(given)[...] = amplitudes
     found = simd.zeros((steps, len(ops.functionals)), width)
