@@ -19,6 +19,7 @@ from manywake.flow import store
 from manywake.flow.mesh import Mesh
 from manywake.learn import tables
 from manywake.learn.settings import Collection
+from manywake.machine import compile
 from manywake.suite import load
 
 PAGE = Path(__file__).parents[1] / "docs" / "own-flow.md"
@@ -46,7 +47,7 @@ def page(tmp_path_factory):
     before = os.environ.get("XDG_CACHE_HOME")
     kernels = os.environ.get("NUMBA_CACHE_DIR")
     os.environ["XDG_CACHE_HOME"] = str(folder / "cache")
-    os.environ["NUMBA_CACHE_DIR"] = kernels or str(Path.home() / ".cache" / "manywake-test-kernels")
+    os.environ["NUMBA_CACHE_DIR"] = kernels or compile._cache_folder()  # kernels need not be compiled anew
     yield folder
     for name, value in (("XDG_CACHE_HOME", before), ("NUMBA_CACHE_DIR", kernels)):
         if value is None:
