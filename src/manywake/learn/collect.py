@@ -88,12 +88,12 @@ class Collector:
             self._policies = {version: kept for version, kept in self._policies.items() if version >= oldest}
             self._enqueue(self.order.policy(policy.version))
             self._fill()
-            while self._error is None and (ready := self.order.ready(policy.version, self._arrived)) is None:
+            while (ready := self.order.ready(policy.version, self._arrived)) is None:
+                if self._error is not None:  # of an update that is all there it is the next one's
+                    raise self._error
                 self._change.wait()
-            if self._error is not None:
-                raise self._error
             now = time.perf_counter()
-            episodes = [self._arrived.pop(index) for index in sorted(ready or [])]
+            episodes = [self._arrived.pop(index) for index in sorted(ready)]
             for episode, _ in episodes:
                 del self.order.begun[episode.index]
         return [replace(episode, waiting_seconds=now - came) for episode, came in episodes]
