@@ -2,6 +2,7 @@
 
 import os
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Union
 
@@ -16,10 +17,12 @@ PACKAGES = {"figure": "experiments", "bench": "benchmarks"}
 """Commands that are packages of the source checkout, with options of their own."""
 
 
+@dataclass(frozen=True)
 class Figure:
     """Rerun an experiment: train, write its tables, draw its figure (manywake figure --help)."""
 
 
+@dataclass(frozen=True)
 class Bench:
     """Measure (manywake bench --help)."""
 

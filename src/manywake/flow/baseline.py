@@ -124,6 +124,9 @@ def _develop(flow: FlowBatch, duration: float, recent: float, report: Progress, 
     steps, c_l = round(duration / flow.ops.time_step), np.zeros(0)
     for done in range(0, steps, _CHUNK):
         c_l = np.concatenate([c_l, clock(free_run(flow, _CHUNK))])[-int(recent / flow.ops.time_step) :]
+        if not np.isfinite(c_l[-1]):
+            at, dt = done * flow.ops.time_step, flow.ops.time_step
+            raise RuntimeError(f"baseline: the flow blew up by time {at:g} of its {what}; halve the time step {dt:g}")
         report(what, min((done + _CHUNK) / steps, 1.0))
     return c_l
 

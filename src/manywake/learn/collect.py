@@ -88,15 +88,20 @@ class Collector:
             self._policies = {version: kept for version, kept in self._policies.items() if version >= oldest}
             self._enqueue(self.order.policy(policy.version))
             self._fill()
-            while (ready := self.order.ready(policy.version, self._arrived)) is None:
-                if self._error is not None:  # of an update that is all there it is the next one's
-                    raise self._error
+            while (ready := self._ready(policy.version)) is None:
                 self._change.wait()
             now = time.perf_counter()
             episodes = [self._arrived.pop(index) for index in sorted(ready)]
             for episode, _ in episodes:
                 del self.order.begun[episode.index]
         return [replace(episode, waiting_seconds=now - came) for episode, came in episodes]
+
+    def _ready(self, version: int) -> list[int] | None:
+        """Return the episodes of an update if all have come; an episode that failed is then the next update's matter."""
+        ready = self.order.ready(version, self._arrived)
+        if self._error is not None and (ready is None or not isinstance(self._error, EpisodeFailed)):
+            raise self._error
+        return ready
 
     def resume(self, version: int, pending: Iterable[tuple[int, int]], policy_of: Callable[[int], Policy]) -> None:
         """Go on from before the update of `version`: start what was `pending` then. policy_of: policies by version."""
