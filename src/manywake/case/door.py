@@ -50,6 +50,10 @@ def _try_reward(case: Case, task: Task) -> None:
                 f"{what}: {name} asks for {error.args[0]!r}, wanted readings of this case: {', '.join(free)}"
             ) from error
         except Exception as error:
-            raise ValueError(f"{what}: {name} fails on finite readings ({type(error).__name__}: {error})") from error
+            tried_on = ", ".join(f"{reading} = {value:g}" for reading, value in now.items())
+            where = f"tried on {tried_on}" if what == "reward" else "it calls the reward on readings of its own"
+            raise ValueError(
+                f"{what}: {name} fails on finite readings ({type(error).__name__}: {error}); {where}"
+            ) from error
         if isinstance(got, bool) or not isinstance(got, (int, float)) or not math.isfinite(got):
             raise ValueError(f"{what}: {name} returned {got!r}, wanted a finite number")

@@ -64,9 +64,11 @@ class Task:
     def __post_init__(self) -> None:
         if self.actions < 2:
             raise ValueError(f"actions: got {self.actions}, wanted at least 2")
+        if self.actions != int(self.actions):
+            raise ValueError(f"actions: got {self.actions}, wanted a whole number")
         if not self.interval > 0:
             raise ValueError(f"interval: got {self.interval:g}, wanted a positive time")
-        if not hasattr(self.law, "series"):
+        if isinstance(self.law, type) or not hasattr(self.law, "series"):
             raise ValueError(f"law: got {self.law!r}, wanted an object, as Held() or Linear()")
 
     def steps(self, time_step: float) -> int:

@@ -85,7 +85,9 @@ def ending(work: Callable[[], int]) -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a batch system's polite request to stop is as Ctrl-C
     try:
         sys.exit(work())
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:  # a kernel that is interrupted returns a SystemError
+        if not isinstance(error.__cause__ or error, KeyboardInterrupt):
+            raise
         say("stopped")
         sys.exit(130)
     except (ValueError, RuntimeError, OSError) as error:

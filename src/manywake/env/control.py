@@ -106,7 +106,11 @@ class ControlledFlows:
         if diverged:
             left = int(self.task.actions - self.actions[b]) + 1
             return float(self.task.charge(self.task.reward, self.free, left))
-        return float(self.task.reward({name: float(part[b]) for name, part in means.items()}, self.free))
+        now = {name: float(part[b]) for name, part in means.items()}
+        try:
+            return float(self.task.reward(now, self.free))
+        except Exception as error:
+            raise ValueError(f"reward: fails ({type(error).__name__}: {error}) on the readings {now}") from error
 
 
 @dataclass(frozen=True)

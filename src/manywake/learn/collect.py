@@ -97,7 +97,7 @@ class Collector:
         return [replace(episode, waiting_seconds=now - came) for episode, came in episodes]
 
     def _ready(self, version: int) -> list[int] | None:
-        """Return the episodes of an update if all have come; an episode that failed is then the next update's matter."""
+        """Return the episodes of an update if all have come; one that failed is then the next update's matter."""
         ready = self.order.ready(version, self._arrived)
         if self._error is not None and (ready is None or not isinstance(self._error, EpisodeFailed)):
             raise self._error
