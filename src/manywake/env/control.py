@@ -34,13 +34,11 @@ class Outcome:
     """What one action brought.
 
     reward, diverged, truncated: (B,). means: every reading by name, averaged over the action, (B,), NaN for a flow that
-    blew up. amplitude: (inputs, B), at the end of the action. series: every reading by name at every solver step,
-    (steps, B). amplitudes: (steps, inputs, B).
+    blew up. series: every reading by name at every solver step, (steps, B). amplitudes: (steps, inputs, B).
     """
 
     reward: np.ndarray
     means: dict[str, np.ndarray]
-    amplitude: np.ndarray
     diverged: np.ndarray
     truncated: np.ndarray
     series: dict[str, np.ndarray]
@@ -99,7 +97,7 @@ class ControlledFlows:
         self.means = {name: part.copy() for name, part in means.items()}
         truncated = (self.actions >= self.task.actions) & ~diverged
         reward = np.array([self._reward(means, b, bool(diverged[b])) for b in range(self.count)])
-        return Outcome(reward, means, self.amplitude.copy(), diverged, truncated, series, amplitudes)
+        return Outcome(reward, means, diverged, truncated, series, amplitudes)
 
     def _reward(self, means: dict[str, np.ndarray], b: int, diverged: bool) -> float:
         """Return one flow's reward: of its readings as plain numbers, or, where it blew up, what its task charges."""

@@ -99,12 +99,9 @@ def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None)
     mean, record = _average(flow, c_l, report, "mean flow" if advecting is None else "statistics")
     recipe += f", stopped at an upward crossing of C_L; means sample every {_SAMPLE}th step; steady flow by Newton"
     statistic, free = uncontrolled(record, case.dt)
-    mean, digests = (
-        mean if advecting is None else advecting,
-        (describe.flow_digest(case), describe.geometry_digest(case)),
-    )
-    still = base.readings | {"power": 0.0}
-    return Baseline(*digests, posed.space.mesh, start, mean, statistic, free, still, recipe)
+    kept = mean if advecting is None else advecting
+    still, digests = base.readings | {"power": 0.0}, (describe.flow_digest(case), describe.geometry_digest(case))
+    return Baseline(*digests, posed.space.mesh, start, kept, statistic, free, still, recipe)
 
 
 def uncontrolled(record: dict[str, np.ndarray], time_step: float) -> tuple[Shedding, dict[str, float]]:
@@ -125,7 +122,7 @@ def _develop(flow: FlowBatch, duration: float, recent: float, report: Progress, 
     for done in range(0, steps, _CHUNK):
         c_l = np.concatenate([c_l, clock(free_run(flow, _CHUNK))])[-int(recent / flow.ops.time_step) :]
         if not np.isfinite(c_l[-1]):
-            at, dt = done * flow.ops.time_step, flow.ops.time_step
+            at, dt = (done + _CHUNK) * flow.ops.time_step, flow.ops.time_step
             raise RuntimeError(f"baseline: the flow blew up by time {at:g} of its {what}; halve the time step {dt:g}")
         report(what, min((done + _CHUNK) / steps, 1.0))
     return c_l

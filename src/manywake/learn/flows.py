@@ -75,7 +75,7 @@ class Flows(Simulation):
         seconds = (time.perf_counter() - begin - policy_seconds) / count, policy_seconds / count
         outcomes = [step.outcome for step in steps]
         readings = {name: np.stack([outcome.means[name] for outcome in outcomes]) for name in flows.free}
-        share = np.stack([outcome.amplitude for outcome in outcomes]) / flows.limits[:, None]
+        share = np.stack([outcome.amplitudes[-1] for outcome in outcomes]) / flows.limits[:, None]
         readings["amplitude_rms"] = np.sqrt(np.mean(share**2, axis=1))
         versions = np.array([policy.version for policy in driving])[which]
         observations, actions = (np.stack([getattr(s, name) for s in steps]) for name in ("observation", "action"))
