@@ -41,17 +41,16 @@ def advection(space, mean):
     return skfem.BilinearForm(lambda u, v, w: (w.a * u.grad[0] + w.b * u.grad[1]) * v).assemble(basis, a=a, b=b)
 
 
-def damping(case, space):
-    """Return the stiffness for the viscosity of eq. 15: jets on the case's first body, a circle about the origin."""
+def damping(case, space, fluctuation):
+    """Return the stiffness for the viscosity of eq. 15, quadrature point by quadrature point."""
     basis = skfem.Basis(space.velocity.mesh, skfem.ElementTriP2(), intorder=5)
-    viscosity = np.zeros(basis.dx.shape)
-    x, y = np.asarray(basis.global_coordinates())
-    (body,) = case.bodies
-    for start, end in body.parts.values():
-        angle, width = np.radians(0.5 * (start + end)), np.radians(end - start) * body.radius
-        peak = np.pi * 0.01 / (2 * width)
-        squared = (x - body.radius * np.cos(angle)) ** 2 + (y - body.radius * np.sin(angle)) ** 2
-        viscosity += case.scheme.damping * case.time_step * peak**2 * np.exp(-squared / (2 * width) ** 2)
+    viscosity, V = np.zeros(basis.dx.shape), np.asarray(basis.interpolate(fluctuation))
+    for e, weights in enumerate(basis.dx):
+        size = (2 * sum(weights)) ** 0.5
+        for q in range(len(weights)):
+            crossed = V[e, q] * case.time_step / size
+            share = min(max((crossed - 0.15) / (0.25 - 0.15), 0.0), 1.0)
+            viscosity[e, q] = case.scheme.damping * case.time_step * V[e, q] ** 2 * share**2 * (3 - 2 * share)
     form = skfem.BilinearForm(lambda u, v, w: w.nu * (u.grad[0] * v.grad[0] + u.grad[1] * v.grad[1]))
     return form.assemble(basis, nu=viscosity)
 
@@ -171,12 +170,12 @@ def functionals(case, space, profiles):
     }
 
 
-def step(case, space, start, jets, profiles, boundaries, mean):
+def step(case, space, start, jets, profiles, boundaries, mean, fluctuation):
     """Advance one flow by one step in scikit-fem's order; return u, p, phi and what is read, by name.
 
     jets: (2,) flow rates. profiles: (2, n, 2) velocity of the jets at unit flow rate. boundaries: dict with the
     velocity nodes `fixed`, the inlet data `steady` (n, 2) and the pressure nodes `pressure`. mean: (n, 2), zero where
-    the scheme has none.
+    the scheme has none. fluctuation: (n,).
     """
     scheme, dt, nu = case.scheme, case.time_step, case.viscosity
     M, K = space.mass, space.stiffness
@@ -186,7 +185,7 @@ def step(case, space, start, jets, profiles, boundaries, mean):
     w = blend(scheme.history, start.u, start.u_old)
     e = blend((1 + scheme.ahead, -scheme.ahead), start.u, start.u_old)
     p_star = start.p + scheme.pressure[0] * start.phi + scheme.pressure[1] * start.phi_old
-    S = damping(case, space)
+    S = damping(case, space, fluctuation)
     C = convection_form(space, e, mean) - S @ e
     A = a / dt * M + theta * nu * K + advection(space, mean) + S
 

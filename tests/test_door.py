@@ -294,7 +294,7 @@ FILES = {
         "reward: got 1.0, wanted a function reward(now, free)",
     ),
     "a charge that is no number": (
-        file(task='charge=lambda reward, free, left: "all"'),
+        file(task='charge=lambda reward, forced, free: "all"'),
         "charge: <lambda> returned 'all', wanted a finite number",
     ),
     "a law that is none": (

@@ -14,7 +14,7 @@ from manywake.case.learning import Learning
 from manywake.case.references import Forced, Settled, Statistic, Steady
 from manywake.case.schemes import BDF2, BDF2_MEAN, GODA
 from manywake.case.sensors import Pressure, Velocity
-from manywake.case.task import PAIR, Task, alike, balanced, pairs, twice_the_drag
+from manywake.case.task import PAIR, Task, alike, balanced, pairs, twice_the_worst
 
 __all__ = [
     "Case", "Scales", "Sizes", "replace",
@@ -22,7 +22,7 @@ __all__ = [
     "Box", "Circle", "Outline", "Polygon", "Smooth", "grid", "ring",
     "Jet", "Rotation", "Pressure", "Velocity",
     "BDF2", "BDF2_MEAN", "GODA",
-    "Task", "PAIR", "alike", "balanced", "pairs", "twice_the_drag",
+    "Task", "PAIR", "alike", "balanced", "pairs", "twice_the_worst",
     "Exponential", "Held", "Linear", "Learning",
     "Forced", "Settled", "Statistic", "Steady",
 ]  # fmt: skip

@@ -24,13 +24,13 @@ class Scales:
 class Sizes:
     """Sizes of the triangles, in units of the case's length. The defaults resolve the wake of a cylinder at Re 100."""
 
-    body: float = 0.048
+    body: float = 0.036
     """Length of the facets of a body, in L."""
-    part_facets: int = 2
+    part_facets: int = 4
     """Facets across a part of a body; two resolve a jet's flux to 0.22 % before scaling, one to 4 %."""
-    layers: int = 3
+    layers: int = 4
     """Layers of quadrilaterals, cut into triangles, that lie around a body like the rings of an onion."""
-    layer_height: float = 0.034
+    layer_height: float = 0.025
     """Height of the innermost layer, in L."""
     layer_growth: float = 1.25
     """Height of a layer by that of the one within."""

@@ -17,8 +17,14 @@ class Input:
 
     on: str
     limit: float
+    strength: float | None = None
+    """Amplitude that the flow is made stable for, the limit when not given. Limits below it share its baseline."""
     unit: ClassVar[str]
     flux: ClassVar[float | None]
+
+    @property
+    def strongest(self) -> float:
+        return self.limit if self.strength is None else self.strength
 
     def velocity(self, body: Body | None, chart: Chart | None, x: np.ndarray) -> np.ndarray:
         """Return the velocity (k, 2) at points (k, 2) of the piece at amplitude 1.

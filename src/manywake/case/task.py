@@ -1,7 +1,7 @@
 """The control task on a flow: when to act, how actions become amplitudes, what is observed and what is rewarded."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +12,10 @@ Means = Mapping[str, float]
 """Readings by name, each a mean over one action."""
 Reward = Callable[[Means, Means], float]
 """reward(now, free): of an action's readings and those of the uncontrolled flow."""
-Charge = Callable[[Reward, Means, int], float]
-"""charge(reward, free, left): what a flow that blew up is given, with `left` actions to go, that one included."""
+Charge = Callable[[Reward, Sequence[Means], Means], float]
+"""charge(reward, forced, free): what a flow that blew up is given for that action and each that was to come.
+
+forced: readings of flows under the largest forcing, that of the case's stability run."""
 Mixing = tuple[tuple[float, ...], ...]
 
 PAIR: Mixing = ((1.0,), (-1.0,))
@@ -35,10 +37,10 @@ def balanced(count: int) -> Mixing:
     return tuple(tuple((row == k) - 1.0 / count for k in range(count)) for row in range(count))
 
 
-def twice_the_drag(reward: Reward, free: Means, left: int) -> float:
-    """Charge as if the body had twice its uncontrolled drag, and nothing else, to the end of the episode."""
-    drag = {name: 2 * value if name.partition(".")[0] == "c_d" else 0.0 for name, value in free.items()}
-    return left * reward(drag, free)
+def twice_the_worst(reward: Reward, forced: Sequence[Means], free: Means) -> float:
+    """Charge twice what the worst of the forced flows loses against the uncontrolled flow: to stay is always better."""
+    nothing = reward(free, free)
+    return nothing - 2 * (nothing - min(nothing, *(reward(now, free) for now in forced)))
 
 
 @dataclass(frozen=True)
@@ -58,8 +60,8 @@ class Task:
     every input has an action of its own."""
     law: Law = Held()
     """How amplitudes follow what is wanted."""
-    charge: Charge = twice_the_drag
-    """What a flow that blew up is given, with which its episode ends."""
+    charge: Charge = twice_the_worst
+    """What a flow that blew up is given for every action that was left, with which its episode ends."""
 
     def __post_init__(self) -> None:
         if self.actions < 2:

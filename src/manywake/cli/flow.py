@@ -126,8 +126,15 @@ class Baseline(OnCase):
                 baseline.save(base, self.make)
         described: dict[str, Any] = {"case": self.case, "flow_digest": base.flow_digest, "digest": base.digest()}
         described |= {"recipe": base.recipe, "check": "content matches its hash and its case"}
-        described |= {"triangles": len(base.mesh.triangles), **dataclasses.asdict(base.shedding)}
-        described |= {"strouhal": base.shedding.strouhal(case.convective_time)}
-        described |= {f"steady {name}": value for name, value in base.steady.items()}
+        free, period = base.statistics, base.statistics.period
+        described |= {"triangles": len(base.mesh.triangles), "kind": free.kind, "start states": len(base.starts)}
+        if period:
+            described |= {"period": period, "St": case.convective_time / period}
+        for name, moments in free.readings.items():
+            described |= {f"{name} {kind}": value for kind, value in vars(moments).items()}
+        described |= {f"{name} steady": value for name, value in base.steady.items()}
+        for actuator in case.actuators:
+            for kind in ("held", "smooth"):
+                described[f"{actuator.on} withstood, {kind}"] = actuator.strongest * getattr(base.withstood, kind)
         numbers(described, self.json)
         return 0

@@ -10,14 +10,12 @@ from manywake.case import sensors
 from manywake.case import task as tasks
 from manywake.case.case import Case
 from manywake.case.task import Task
-from manywake.flow import readings
+from manywake.flow import readings, stability
 from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.store import Flow
 
 OBSERVATION_LIMIT = 100.0
 """Bound of the observation space. The paper's uncontrolled pressures stay within 3, under full jets within 10."""
-NO_FLOW = 1e3
-"""A force coefficient past this is no flow any more: divergence shows in the forces first."""
 
 
 def spaces(case: Case, task: Task) -> tuple[Box, Box]:
@@ -49,12 +47,14 @@ class ControlledFlows:
     """B flows under one task: acts on all of them at once, and keeps what each input does."""
 
     def __init__(self, flow: Flow, task: Task, flows: int):
+        stability.check(flow.case, flow.baseline.withstood, task.law)
         self.flow, self.task, self.count = flow, task, flows
         self.steps = task.steps(flow.case.dt)
         self.batch = FlowBatch(flow.operators, flow.baseline.start, flows)
         self.mixing = tasks.matrix(task, len(flow.case.actuators))
         self.limits = np.array([actuator.limit for actuator in flow.case.actuators])
         self.free = {name: float(value) for name, value in flow.baseline.free.items()}
+        self.charge = task.charge(task.reward, flow.baseline.withstood.readings(), self.free)
         self.amplitude, self.wanted = np.zeros((2, len(self.limits), flows))
         self.actions = np.zeros(flows, dtype=np.int64)
         self.means = {name: np.full(flows, value) for name, value in self.free.items()}
@@ -90,9 +90,7 @@ class ControlledFlows:
         self.amplitude, self.wanted = amplitudes[-1].copy(), wanted
         self.actions += 1
         series = readings.named(self.flow.operators, read, amplitudes)
-        forces = [part for name, part in series.items() if name.startswith(("c_d.", "c_l."))]
-        bounded = [(np.abs(part) < NO_FLOW).all(axis=0) for part in forces]
-        diverged = ~np.logical_and.reduce([*bounded, np.isfinite(read).all(axis=(0, 1))])
+        diverged = readings.blown(self.flow.operators, read)
         means = readings.means({name: np.where(diverged, np.nan, part) for name, part in series.items()})
         self.means = {name: part.copy() for name, part in means.items()}
         truncated = (self.actions >= self.task.actions) & ~diverged
@@ -103,7 +101,7 @@ class ControlledFlows:
         """Return one flow's reward: of its readings as plain numbers, or, where it blew up, what its task charges."""
         if diverged:
             left = int(self.task.actions - self.actions[b]) + 1
-            return float(self.task.charge(self.task.reward, self.free, left))
+            return left * self.charge
         now = {name: float(part[b]) for name, part in means.items()}
         try:
             return float(self.task.reward(now, self.free))

@@ -81,7 +81,8 @@ def fine(flow: Flow, reference: Forced, mixing: np.ndarray, report: Progress) ->
     scheme = BDF2 if case.scheme == GODA else case.scheme
     chosen = replace(case, time_step=case.dt / 2, scheme=scheme)
     posed = problem.pose(chosen, meshes.refine(base.mesh))
-    refined = baseline.assemble(chosen, posed, moved(space, posed.space.x) @ base.mean)
+    onto = moved(space, posed.space.x)
+    refined = baseline.assemble(chosen, posed, *(onto @ part for part in base.advecting))
     record = run(refined, interpolate(space, base.start, refined), reference, mixing, report, "fine reference")
     recipe = (
         f"manywake.flow.forced.fine: every triangle of the mesh cut into four ({len(refined.mesh.triangles)} triangles)"

@@ -158,8 +158,9 @@ class SizeField:
         if not self.bodies:
             return least
         for centre, back, ring, facets in self.bodies:
-            # faster where the flow comes from; slower downstream, where the shear layers roll up
-            growth = 0.14 - 0.04 * min(max((x - centre) / (back - centre), 0.0), 1.0)
+            # faster where the flow comes from, smooth; slower downstream, where the shear layers roll up
+            behind = min(max((x - centre) / (back - centre), -1.0), 1.0)
+            growth = 0.14 - (0.04 if behind > 0 else 0.2) * behind
             least = min(least, facets + growth * distance(ring, np.array([[x, y]]))[0])
         wake = size.wake * L + 0.045 * max(x - self.back - 2.5 * L, 0.0)
         wake += 0.4 * max(abs(y - self.axis) - self.half - 0.5 * L, 0.0) + 0.6 * max(self.front - x, 0.0)

@@ -109,17 +109,19 @@ def assemble(
     time_step: float,
     viscosity: float,
     mean: np.ndarray | None = None,
+    fluctuation: np.ndarray | None = None,
     sensors: Sequence[Sensor] = (),
     precision: type = np.float32,
 ) -> Operators:
     """Assemble and factor the operators of a problem (docs/numerics.md, eq. 4-14).
 
     mean: (n, 2) velocity in scikit-fem's order that advects implicitly; ValueError where the scheme wants one and there
-    is none. precision: of increments and residuals, float64 for comparison; the fields are doubles always.
+    is none. fluctuation: (n,) largest departure from the mean, by which the scheme damps; none: it does not. precision:
+    of increments and residuals, float64 for comparison; the fields are doubles always.
     """
     space, dt, nu = problem.space, time_step, viscosity
     n, m = len(space.x), len(space.mesh.points)
-    A = _momentum_matrix(problem, scheme, dt, nu, mean)
+    A = _momentum_matrix(space, scheme, dt, nu, mean) + damping(space, scheme, dt, fluctuation)
     momentum, free = _factor(A, np.setdiff1d(np.arange(n), problem.fixed))
     read = np.flatnonzero(sum((f.phi.any(axis=1) for f in problem.functionals), np.zeros(n, bool)))
     velocity = np.concatenate([free, read, np.setdiff1d(problem.fixed, read)])
@@ -152,10 +154,9 @@ def assemble(
     return Operators(space.mesh, tables, velocity, pressure, len(free), dt, *names, problem.kinetic, probes)
 
 
-def _momentum_matrix(problem: Problem, scheme: Scheme, dt: float, nu: float, mean: np.ndarray | None) -> sp.csr_matrix:
-    """Return A (n, n) of eq. 9."""
-    space = problem.space
-    A = scheme.new / dt * space.mass + scheme.implicit * nu * space.stiffness + damping(problem, scheme, dt)
+def _momentum_matrix(space: Space, scheme: Scheme, dt: float, nu: float, mean: np.ndarray | None) -> sp.csr_matrix:
+    """Return A (n, n) of eq. 9, without damping."""
+    A = scheme.new / dt * space.mass + scheme.implicit * nu * space.stiffness
     if not scheme.mean:
         return A
     if mean is None:
@@ -223,19 +224,17 @@ def _rounded(part, precision) -> Any:
     return part.astype(precision) if part.dtype == np.float64 else part
 
 
-REACH = 2.0
-"""How far `damping` reaches around a jet, in widths of the jet."""
+LOW, HIGH = 0.15, 0.25
+"""Damping sets in where the fluctuation crosses this share of a triangle in a time step, and is whole at that."""
 
 
-def damping(problem: Problem, scheme: Scheme, time_step: float) -> sp.csr_matrix:
-    """Return S (n, n), the stiffness for a viscosity that falls off around each jet as a Gaussian (eq. 15)."""
-
-    @skfem.BilinearForm
-    def form(u, v, w):
-        viscosity = 0.0 * w.x[0]
-        for x, y, width, peak in problem.bells:
-            distance = ((w.x[0] - x) ** 2 + (w.x[1] - y) ** 2) / (REACH * width) ** 2
-            viscosity = viscosity + scheme.damping * time_step * peak**2 * np.exp(-distance)
-        return viscosity * dot(grad(u), grad(v))
-
-    return sp.csr_matrix(form.assemble(problem.space.velocity))
+def damping(space: Space, scheme: Scheme, time_step: float, fluctuation: np.ndarray | None) -> sp.csr_matrix:
+    """Return S (n, n), the stiffness for a viscosity where the fluctuation V (n,) is too fast for the step (eq. 15)."""
+    if fluctuation is None or not scheme.damping:
+        return sp.csr_matrix((len(space.x), len(space.x)))
+    V = np.asarray(space.velocity.interpolate(fluctuation))
+    h = np.sqrt(2 * space.velocity.dx.sum(axis=1))[:, None]
+    w = np.clip((V * time_step / h - LOW) / (HIGH - LOW), 0.0, 1.0)
+    viscosity = scheme.damping * time_step * V**2 * w**2 * (3 - 2 * w)
+    form = skfem.BilinearForm(lambda u, v, at: at.viscosity * dot(grad(u), grad(v)))
+    return sp.csr_matrix(form.assemble(space.velocity, viscosity=viscosity))

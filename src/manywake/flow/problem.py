@@ -8,7 +8,6 @@ import skfem
 from manywake.case.case import Case
 from manywake.case.conditions import Outflow
 from manywake.case.geometry import Body, Side
-from manywake.case.inputs import Jet
 from manywake.flow import space as spaces
 from manywake.flow.mesh import Mesh
 from manywake.flow.space import Space
@@ -35,8 +34,7 @@ class Problem:
     """Boundary data in scikit-fem's order: velocity = steady + the sum of amplitude_j profile_j on the fixed nodes.
 
     fixed: velocity nodes of given velocity, sorted. steady: (n, 2), profiles: (inputs, n, 2), zero elsewhere.
-    pressure_fixed: pressure nodes held at zero. functionals: what is read, bodies first. bells: (jets, 4), centre,
-    width and peak velocity of each jet at a flow rate of U L / 10, where `Scheme.damping` acts. inputs: their names.
+    pressure_fixed: pressure nodes held at zero. functionals: what is read, bodies first. inputs: their names.
     flux_error: relative error of each jet's interpolated flux before it was scaled. kinetic: (inputs,), flux of kinetic
     energy into the fluid at unit amplitude, as a coefficient 2P / (rho U^3 L).
     """
@@ -46,7 +44,6 @@ class Problem:
     steady: np.ndarray
     pressure_fixed: np.ndarray
     functionals: tuple[Functional, ...]
-    bells: np.ndarray
     inputs: tuple[str, ...]
     profiles: np.ndarray
     flux_error: np.ndarray
@@ -88,7 +85,7 @@ def pose(case: Case, mesh: Mesh) -> Problem:
     fixed, inputs = space.boundary_nodes([*held, *bodies]), tuple(actuator.on for actuator in case.actuators)
     driven = profiles_of(case, space)
     functionals = _functionals(case, space, steady, driven[0])
-    return Problem(space, fixed, steady, pressure_fixed, functionals, _bells(case), inputs, *driven)
+    return Problem(space, fixed, steady, pressure_fixed, functionals, inputs, *driven)
 
 
 def _steady(case: Case, space: Space) -> np.ndarray:
@@ -198,21 +195,3 @@ def _momentum(case: Case, space: Space, body: Body, profiles: np.ndarray, turn: 
             u, v, _ = wall.field(profile)
             flux[:, j, k] = [wall.integral(part * through) for part in (u, v, x * u + y * v)]
     return flux
-
-
-def _bells(case: Case) -> np.ndarray:
-    """Return centre, width and peak velocity of each jet at a flow rate of U L / 10, (jets, 4)."""
-    rate, rows = case.scales.velocity * case.scales.length / 10, []
-    for actuator in case.actuators:
-        if not isinstance(actuator, Jet):
-            continue
-        body = case.body(actuator.on)
-        if body is None:
-            side = _named(case.domain.sides(), actuator.on)
-            middle = 0.5 * (np.array(side.start) + side.end)
-        else:
-            piece = _named(body.pieces(), actuator.on)
-            middle = body.point(np.array([0.5 * (piece.start + piece.end)]))[0]
-        width = _chart(case, actuator.on, middle[None]).length
-        rows.append([*middle, width, np.pi * rate / (2 * width)])
-    return np.array(rows).reshape(-1, 4)

@@ -30,6 +30,16 @@ def named(ops: Operators, read: np.ndarray, amplitudes: np.ndarray) -> dict[str,
     return totals | {name: parts[name] for name in bodies} | {"power": power}
 
 
+NO_FLOW = 1e3
+"""A force coefficient past this is no flow any more: divergence shows in the forces first."""
+
+
+def blown(ops: Operators, read: np.ndarray) -> np.ndarray:
+    """Return which flows blew up, (B,), from what was read of them, (steps, functionals, B)."""
+    forces = [k for k, name in enumerate(ops.functionals) if name.startswith(("c_d.", "c_l."))]
+    return ~((np.abs(read[:, forces]) < NO_FLOW).all(axis=(0, 1)) & np.isfinite(read).all(axis=(0, 1)))
+
+
 def joined(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """Return readings recorded part by part, one after the other in time."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

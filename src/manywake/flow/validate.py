@@ -14,11 +14,11 @@ import numpy as np
 
 from manywake.case.references import Forced, Reference, Settled, Statistic, Steady
 from manywake.case.schemes import Scheme
-from manywake.flow import baseline, exact, forced, problem, readings, steady
+from manywake.flow import baseline, exact, forced, problem, readings, spinup, statistics, steady
 from manywake.flow.baseline import Progress
 from manywake.flow.batch import FlowBatch
 from manywake.flow.problem import Problem
-from manywake.flow.statistics import Shedding
+from manywake.flow.statistics import Statistics
 from manywake.flow.store import Flow
 from manywake.machine import disk
 
@@ -86,33 +86,34 @@ def _agrees(reference: Statistic | Steady, ours: float) -> Check:
     return Check(reference.name, ours, reference.value, reference.tolerance, "relative", reference.source)
 
 
-def _statistic(shedding: Shedding, of: str, convective_time: float) -> float:
+def _statistic(found: Statistics, of: str, convective_time: float) -> float:
     if of == "St":
-        return shedding.strouhal(convective_time)
+        return convective_time / found.period if found.period else np.nan
     reading, kind = of.split()
-    return getattr(shedding, f"{reading.replace('_', '')}_{kind}")
+    return getattr(found[reading], {"max": "high", "min": "low"}.get(kind, kind))
 
 
-def _uncontrolled(flow: Flow, report: Progress) -> Shedding:
+def _uncontrolled(flow: Flow, report: Progress) -> Statistics:
     """Return the statistics of the uncontrolled flow over `PERIODIC`, from the start state on."""
     batch, case = FlowBatch(flow.operators, flow.baseline.start, 1), flow.case
     steps, record = round(PERIODIC * case.convective_time / case.dt), []
     for k in range(0, steps, 1000):
         report("uncontrolled flow", k / steps)
-        record.append(baseline.free_run(batch, min(1000, steps - k)))
-    return baseline.uncontrolled(readings.joined(record), case.dt)[0]
+        record.append(spinup.free_run(batch, min(1000, steps - k)))
+    kind = flow.baseline.statistics.kind
+    return statistics.uncontrolled(readings.joined(record), spinup.clock(case), case.dt, kind)
 
 
 def settled(flow: Flow, posed: Problem, reference: Settled, report: Progress) -> list[Check]:
     """The start state must settle to the steady flow at the reference's Reynolds number."""
-    ops = baseline.assemble(replace(flow.case, reynolds=reference.reynolds), posed, flow.baseline.mean)
+    ops = baseline.assemble(replace(flow.case, reynolds=reference.reynolds), posed, *flow.baseline.advecting)
     batch, unit = FlowBatch(ops, flow.baseline.start, 1), round(10.0 * flow.case.convective_time / flow.case.dt)
     wanted, found = {f"{reference.name} {_symbol(name)}": both for name, both in reference.values.items()}, []
     if reference.pressure_drop is not None:
         front, back, factor, wanted[f"{reference.name} pressure difference"] = reference.pressure_drop
     for k in range(round(STEADY_MOST / 10.0)):
         report(reference.name, 10.0 * k / STEADY_MOST)
-        record = baseline.free_run(batch, unit)
+        record = spinup.free_run(batch, unit)
         if np.ptp(record["c_d"]) < STEADY:
             found = [float(record[name].mean()) for name in reference.values]
             if reference.pressure_drop is not None:

@@ -21,6 +21,7 @@ import docstring_parser
 from manywake import suite
 from manywake.case import door
 from manywake.case.case import Case
+from manywake.case.inputs import Input
 from manywake.case.laws import Held, Law, Linear
 from manywake.case.learning import Learning
 from manywake.case.references import Reference
@@ -156,7 +157,7 @@ def override(definition: Definition, protocol: str, overrides: Mapping[str, Any]
         now = changed[of[field]].get(field, getattr(owners[of[field]], field))
         value = _object(definition, task, name, value)
         if head == "limit":
-            value = tuple(replace(a, limit=value) if tail in ("", a.on) else a for a in now)
+            value = tuple(_limited(a, value) if tail in ("", a.on) else a for a in now)
         elif head == "points":
             points = tuple((float(x), float(y)) for x, y in value)
             value = tuple(replace(s, points=points) if s.name == tail else s for s in now)
@@ -168,6 +169,12 @@ def override(definition: Definition, protocol: str, overrides: Mapping[str, Any]
     case, task, learning = (replace(owner, **changed[kind]) for kind, owner in owners.items())
     door.check(case, task)
     return Chosen(definition, case, task, learning, protocol, dict(overrides))
+
+
+def _limited(actuator: Input, limit: float) -> Input:
+    """Return an actuator with another limit, made for the strength that it was if that is enough."""
+    kept = actuator.strongest if limit <= actuator.strongest else None
+    return replace(actuator, limit=limit, strength=kept)
 
 
 def _object(definition: Definition, task: Task, name: str, value: Any) -> Any:
