@@ -166,6 +166,7 @@ def kicked(case: Case, ops: Operators) -> Start:
     distance = (x - back - length) ** 2 + (y - 0.5 * (low + high)) ** 2
     u = np.stack([np.zeros_like(x), 0.3 * case.scales.velocity * np.exp(-distance / (0.5 * length) ** 2)], axis=1)
     u[ops.velocity_order[ops.free :]] = 0.0
+    u[ops.slip] = 0.0
     return Start(u, u.copy(), *np.zeros((3, len(ops.pressure_order))))
 
 
