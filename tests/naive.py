@@ -91,6 +91,18 @@ def solve(matrix, y):
     return y
 
 
+def solve_held(matrix, last, held, e, y):
+    """Return y as `solve`, but with the component `held` of the `last` rows given: minus that of e."""
+    rows, y = len(matrix), y.copy()
+    for b in range(y.shape[-1]):
+        for c in range(2):
+            inner = rows - last if c == held else rows
+            y[inner:rows, c, b] = -e[inner:rows, c, b]
+            right = y[:inner, c, b] - matrix[:inner, inner:] @ y[inner:rows, c, b]
+            y[:inner, c, b] = np.linalg.solve(matrix[:inner, :inner], right)
+    return y
+
+
 def divergence(D, u, out):
     """Return out with its first rows replaced by D_x u_x + D_y u_y. D: pair of matrices."""
     out = out.copy()
@@ -174,8 +186,8 @@ def step(case, space, start, jets, profiles, boundaries, mean, fluctuation):
     """Advance one flow by one step in scikit-fem's order; return u, p, phi and what is read, by name.
 
     jets: (2,) flow rates. profiles: (2, n, 2) velocity of the jets at unit flow rate. boundaries: dict with the
-    velocity nodes `fixed`, the inlet data `steady` (n, 2) and the pressure nodes `pressure`. mean: (n, 2), zero where
-    the scheme has none. fluctuation: (n,).
+    velocity nodes `fixed` and `slip`, the inlet data `steady` (n, 2) and the pressure nodes `pressure`. mean: (n, 2),
+    zero where the scheme has none. fluctuation: (n,).
     """
     scheme, dt, nu = case.scheme, case.time_step, case.viscosity
     M, K = space.mass, space.stiffness
@@ -190,9 +202,9 @@ def step(case, space, start, jets, profiles, boundaries, mean, fluctuation):
     A = a / dt * M + theta * nu * K + advection(space, mean) + S
 
     u = boundaries["steady"] + np.einsum("j,jnc->nc", jets, profiles)
-    fixed = boundaries["fixed"]
-    free = np.setdiff1d(np.arange(n), fixed)
     for c in range(2):
+        fixed = np.union1d(boundaries["fixed"], boundaries["slip"]) if c == 1 else boundaries["fixed"]
+        free = np.setdiff1d(np.arange(n), fixed)
         right = M @ w[:, c] / dt - (1 - theta) * nu * (K @ w[:, c]) - C[:, c] + space.divergence[c].T @ p_star
         right = right - A[:, fixed] @ u[fixed, c]
         u[free, c] = np.linalg.solve(A[free][:, free].toarray(), right[free])
@@ -250,12 +262,16 @@ def cost(below, first, end):
     return len(rows) * (1.4 + 0.65 * (end - first)) + 10 + 4 * (end - first), rows
 
 
-def cheapest_cut(below, first=0):
-    """Return the least cost of cutting the columns from `first` on into panels of up to four: all cuts are tried."""
-    if first == len(below):
+def cheapest_cut(below, first=0, last=0):
+    """Return the least cost of cutting the columns from `first` on into panels of up to four: all cuts are tried.
+
+    last: so many columns at the end are in no panel with others.
+    """
+    n = len(below)
+    if first == n:
         return 0.0
-    ends = range(first + 1, min(first + 4, len(below)) + 1)
-    return min(cost(below, first, end)[0] + cheapest_cut(below, end) for end in ends)
+    ends = range(first + 1, min(first + 4, n - last if first < n - last else n) + 1)
+    return min(cost(below, first, end)[0] + cheapest_cut(below, end, last) for end in ends)
 
 
 def random_matrix(rng, rows, columns, density=0.3):

@@ -8,7 +8,7 @@ import pytest
 
 from manywake.case import Pressure
 from manywake.case.describe import flow_digest
-from manywake.flow import baseline, problem, store
+from manywake.flow import baseline, problem, spinup, store
 from manywake.flow.batch import FlowBatch
 from manywake.suite import load
 from manywake.suite.cylinder_jets import CASE
@@ -166,7 +166,7 @@ def test_phases_are_spread_over_one_period(ops, base):
 
 
 def test_kicked_rest_is_at_rest_but_for_the_gust(ops):
-    start = baseline.kicked(CASE, ops)
+    start = spinup.kicked(CASE, ops, 0.3)
     assert not start.u[:, 0].any()
     assert 0.2 < start.u[:, 1].max() <= 0.3
     assert not start.u[ops.velocity_order[ops.free :]].any()

@@ -70,6 +70,9 @@ def test_the_file_that_the_rows_change_is_let_in(tmp_path):
     # a jet's net flux needs an open end, a pair's does not, nor does a stream that goes out as it comes in
     path.write_text(file(conditions='NoSlip("bottom", "top"), Stream("left", "right")'))
     assert not load.choose(path).case.outlet
+    # and a slip side lets nothing through, so it counts for none of the flux
+    path.write_text(file(conditions='FreeSlip("bottom", "top"), Stream("left", "right")'))
+    assert load.choose(path).case.conditions[0].on == ("bottom", "top")
 
 
 FILES = {
@@ -103,6 +106,22 @@ FILES = {
     "a parabola around a body": (
         file(conditions='NoSlip("bottom", "top"), Parabola("left", "cylinder"), Outflow("right")'),
         "conditions: got Parabola on the body 'cylinder', wanted NoSlip, which it has unasked",
+    ),
+    "free slip around a body": (
+        file(conditions='NoSlip("bottom", "top"), FreeSlip("cylinder"), Parabola("left"), Outflow("right")'),
+        "conditions: got FreeSlip on the body 'cylinder', wanted NoSlip, which it has unasked",
+    ),
+    "free slip on sides of two directions": (
+        file(conditions='FreeSlip("bottom", "left"), Stream("top"), Outflow("right")'),
+        "conditions: got FreeSlip on 'bottom', along x, and on 'left', along y, wanted all slip sides in one "
+        "direction, as one factor serves both components of the velocity",
+    ),
+    "free slip on a slanted side": (
+        file(
+            domain='Outline((("bottom", -0.2, -0.2), ("right", 1, -0.2), ("top", 1, 0.3), ("left", -0.2, 0.2)))',
+            conditions='FreeSlip("bottom", "top"), Stream("left"), Outflow("right")',
+        ),
+        "conditions: got FreeSlip on 'top', which runs from (1, 0.3) to (-0.2, 0.2), wanted a side along x or along y",
     ),
     "a setting that a condition has not": (
         file(conditions='NoSlip("bottom", "top"), Parabola("left", peak=1.5), Outflow("right")'),
@@ -194,6 +213,10 @@ FILES = {
     "an actuator on an open end": (
         file(actuators='Jet("right", limit=0.01)'),
         "Jet: 'right' is an open end, wanted a wall, where the velocity is given",
+    ),
+    "an actuator on a slip side": (
+        file(conditions='FreeSlip("bottom", "top"), Parabola("left"), Outflow("right")', actuators='Jet("top", 0.01)'),
+        "Jet: 'top' slips, wanted a wall, where the velocity is given",
     ),
     "two actuators on one piece": (
         file(actuators='Jet("cylinder.top", limit=0.01), Jet("cylinder.top", limit=0.02)'),

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from manywake.case import BDF2, BDF2_MEAN, GODA, Box, Circle, Jet, Pressure
+from manywake.case import BDF2, BDF2_MEAN, GODA, Box, Circle, FreeSlip, Jet, NoSlip, Outflow, Parabola, Pressure
 from manywake.case.describe import flow_digest
 from manywake.flow import exact, problem, readings, statistics
 from manywake.flow import mesh as meshes
@@ -149,8 +149,10 @@ def test_the_rest_of_a_batch_is_carried_by_as_few_lanes_as_will_do():
 
 @pytest.mark.parametrize("assemble", [in_doubles, in_singles], ids=["doubles", "singles"])
 @pytest.mark.parametrize("scheme", [BDF2, BDF2_MEAN, GODA], ids=lambda scheme: scheme.name)
-def test_a_step_is_its_slow_twin(scheme, assemble):
-    chosen = dataclasses.replace(TINY, scheme=scheme)
+@pytest.mark.parametrize("walls", [NoSlip, FreeSlip], ids=lambda walls: walls.__name__)
+def test_a_step_is_its_slow_twin(walls, scheme, assemble):
+    conditions = walls("bottom", "top"), Parabola("left"), Outflow("right")
+    chosen = dataclasses.replace(TINY, scheme=scheme, conditions=conditions)
     mesh = tiny_mesh(chosen)
     space = spaces.build(mesh)
     mean = 0.7 * np.random.default_rng(1).normal(size=space.x.shape) * scheme.mean
@@ -161,8 +163,10 @@ def test_a_step_is_its_slow_twin(scheme, assemble):
     steady = np.zeros_like(space.x)
     (low, high), y = chosen.domain.y, space.x[inlet, 1]
     steady[inlet, 0] = 6.0 * (y - low) * (high - y) / (high - low) ** 2
+    sides = ["bottom", "top"]
     boundaries = {
-        "fixed": space.boundary_nodes([*BODY, "left", "bottom", "top"]),
+        "fixed": space.boundary_nodes([*BODY, "left", *(sides if walls is NoSlip else [])]),
+        "slip": space.boundary_nodes(sides if walls is FreeSlip else []),
         "steady": steady,
         "pressure": outlet,
     }

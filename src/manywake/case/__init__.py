@@ -6,7 +6,7 @@
 from dataclasses import replace
 
 from manywake.case.case import Case, Scales, Sizes
-from manywake.case.conditions import NoSlip, Outflow, Parabola, Stream
+from manywake.case.conditions import FreeSlip, NoSlip, Outflow, Parabola, Stream
 from manywake.case.geometry import Box, Circle, Outline, Polygon, Smooth, grid, ring
 from manywake.case.inputs import Jet, Rotation
 from manywake.case.laws import Exponential, Held, Linear
@@ -18,7 +18,7 @@ from manywake.case.task import PAIR, Task, alike, balanced, pairs, twice_the_wor
 
 __all__ = [
     "Case", "Scales", "Sizes", "replace",
-    "NoSlip", "Outflow", "Parabola", "Stream",
+    "FreeSlip", "NoSlip", "Outflow", "Parabola", "Stream",
     "Box", "Circle", "Outline", "Polygon", "Smooth", "grid", "ring",
     "Jet", "Rotation", "Pressure", "Velocity",
     "BDF2", "BDF2_MEAN", "GODA",

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from manywake.case.conditions import NoSlip, Outflow
+from manywake.case.conditions import Free, FreeSlip, NoSlip, Outflow
 from manywake.case.geometry import distance, inside, outline
 
 CLEAR = 1.002
@@ -108,9 +108,10 @@ def _check_conditions(case: Any) -> None:
         body, kind = next((name for name in condition.on if name not in sides), None), type(condition).__name__
         if body is not None and not isinstance(condition, NoSlip):
             raise ValueError(f"conditions: got {kind} on the body {body!r}, wanted NoSlip, which it has unasked")
+    _check_slip(case)
     net = 0.0
     for condition in () if case.outlet else case.conditions:
-        for side in case.domain.sides():
+        for side in () if isinstance(condition, Free) else case.domain.sides():
             if side.name in condition.on:
                 x = np.linspace(side.start, side.end, 3)  # Simpson's rule, exact for a parabola
                 chart = side.chart(x)
@@ -122,11 +123,32 @@ def _check_conditions(case: Any) -> None:
         )
 
 
+def _check_slip(case: Any) -> None:
+    slip = {name for condition in case.conditions if isinstance(condition, FreeSlip) for name in condition.on}
+    along: dict[str, str] = {}
+    for side in case.domain.sides():
+        if side.name not in slip:
+            continue
+        off = np.abs(np.subtract(side.end, side.start))
+        if off.min() > 1e-9 * off.max():
+            raise ValueError(
+                f"conditions: got FreeSlip on {side.name!r}, which runs from {side.start} to {side.end}, wanted a side "
+                "along x or along y, where the velocity through it is one component; give it a Stream along the side"
+            )
+        along.setdefault("xy"[off.argmax()], side.name)
+    if len(along) > 1:
+        raise ValueError(
+            f"conditions: got FreeSlip on {along['x']!r}, along x, and on {along['y']!r}, along y, wanted all slip "
+            "sides in one direction, as one factor serves both components of the velocity and the same one is held on "
+            "all; give those of one direction a Stream along them, or NoSlip"
+        )
+
+
 def _check_inputs(case: Any) -> None:
     bodies = [body.name for body in case.bodies]
     pieces = Counter(piece.name for body in case.bodies for piece in body.pieces())
     pieces.update(side.name for side in case.domain.sides())
-    free = {name for condition in case.conditions if isinstance(condition, Outflow) for name in condition.on}
+    free = {name: condition for condition in case.conditions if isinstance(condition, Free) for name in condition.on}
     for name, count in Counter(actuator.on for actuator in case.actuators).items():
         if count > 1:
             raise ValueError(f"actuators: got {count} on {name!r}, wanted at most one")
@@ -135,7 +157,8 @@ def _check_inputs(case: Any) -> None:
         if on not in pieces and on not in bodies:
             raise ValueError(f"{kind}: got the piece {on!r}, which there is not; wanted one of {', '.join(pieces)}")
         if on in free:
-            raise ValueError(f"{kind}: {on!r} is an open end, wanted a wall, where the velocity is given")
+            what = "is an open end" if isinstance(free[on], Outflow) else "slips"
+            raise ValueError(f"{kind}: {on!r} {what}, wanted a wall, where the velocity is given")
         if not 0 < actuator.limit < math.inf:
             raise ValueError(f"{kind}: got the limit {actuator.limit:g}, wanted a positive number")
         if actuator.flux is not None and (on in bodies or pieces[on] > 1):

@@ -118,6 +118,7 @@ def interpolate(space: Space, start: Start, fine: Operators) -> Start:
     u, u_old = velocity @ start.u, velocity @ (0.5 * (start.u + start.u_old))
     for part in (u, u_old):
         part[fine.velocity_order[fine.free :]] = fine.tables.fixed
+        part[fine.slip] = 0.0
     return Start(u, u_old, pressure @ start.p, pressure @ start.phi / 2, pressure @ start.phi_old / 2)
 
 

@@ -154,8 +154,33 @@ def solve(first, row_start, row, lower_start, lower, upper, lower_corner, upper_
     Forward, a panel is solved and pushed to the rows below it; backward, those rows are pulled into it: each row of y
     that is loaded serves as many entries as the panel has columns, and there is a sum for each of them.
     """
-    if len(upper) == 0:
-        upper = lower
+    where = first, row_start, row, lower_start
+    _forward(*where, lower, lower_corner, y)
+    _backward(*where, lower, upper, upper_corner, inverse_diagonal, 0, len(first) - 1, y)
+
+
+@kernel
+def solve_held(
+    first, row_start, row, lower_start, lower, upper, lower_corner, upper_corner, inverse_diagonal, last, held, e, y
+):
+    """Solve as `solve` does, but in the rows of the `last` panels the component `held` of y becomes minus that of e.
+
+    Both components share the factor: what the rows above see of those below comes in with the sweep backward, so there
+    the held component is overwritten (eq. 18). e, y: pairs.
+    """
+    where, panels = (first, row_start, row, lower_start), len(first) - 1
+    split = panels - last
+    _forward(*where, lower, lower_corner, y)
+    _backward(*where, lower, upper, upper_corner, inverse_diagonal, split, panels, y)
+    for i in range(first[split], first[panels]):
+        x, z, against = low(load(y, i, 0)), high(load(y, i, 0)), mul(-1.0, load(e, i, 0))
+        store(y, i, 0, join(x, high(against)) if held else join(low(against), z))
+    _backward(*where, lower, upper, upper_corner, inverse_diagonal, 0, split, y)
+
+
+@kernel
+def _forward(first, row_start, row, lower_start, lower, lower_corner, y):
+    """Solve L y = y in place."""
     for p in range(len(first) - 1):
         c, width, o = first[p], first[p + 1] - first[p], lower_start[p]
         begin, end = row_start[p], row_start[p + 1]
@@ -197,8 +222,15 @@ def solve(first, row_start, row, lower_start, lower, upper, lower_corner, upper_
                 s = fma(lower[o + 1], x1, fma(lower[o], x0, load(y, i, 0)))
                 store(y, i, 0, fma(lower[o + 3], x3, fma(lower[o + 2], x2, s)))
                 o += 4
-    for back in range(len(first) - 1):
-        p = len(first) - 2 - back
+
+
+@kernel
+def _backward(first, row_start, row, lower_start, lower, upper, upper_corner, inverse_diagonal, from_p, to_p, y):
+    """Solve D U y = y in place for the columns of panels from_p ... to_p, from what y is in the rows below them."""
+    if len(upper) == 0:
+        upper = lower
+    for back in range(to_p - from_p):
+        p = to_p - 1 - back
         c, width, o = first[p], first[p + 1] - first[p], lower_start[p]
         begin, end = row_start[p], row_start[p + 1]
         s0 = mul(inverse_diagonal[c], load(y, c, 0))

@@ -1,7 +1,8 @@
 """Everything a time step multiplies with or solves by: assembled once per case and mesh, shared by all flows.
 
-Inside, velocity nodes are renumbered: the free ones first, in the elimination order of the momentum matrix, then
-those of given velocity; pressure nodes likewise. So the factors need no permutation while stepping.
+Inside, velocity nodes are renumbered: the free ones first, in the elimination order of the momentum matrix (at its end
+those that slip), then those of given velocity; pressure nodes likewise. So the factors need no permutation while
+stepping.
 """
 
 from collections.abc import Sequence
@@ -29,7 +30,8 @@ class Tables(NamedTuple):
     """The arrays the compiled time loop reads, in the solver's order. Coefficients of the scheme stand in `numbers`.
 
     What acts on rounded fields is float32 as they are: elements, linear, gradient, coupling and factors.
-    fixed: (nodes of given velocity, 2), their values at zero amplitude. residual, increment: rows of the functionals,
+    fixed: (nodes of given velocity, 2), their values at zero amplitude. slip: how many panels of `momentum` at its end
+    are of nodes that slip, and which component is held there. residual, increment: rows of the functionals,
     whose columns count both components of a node, x first; of phi and of A^T phi. read_pressure: of B phi. wall, flux,
     scale: (functionals, ...), as in `problem.Functional`.
     """
@@ -43,6 +45,7 @@ class Tables(NamedTuple):
     coupling_rows: np.ndarray
     coupling: Rows
     momentum: Panels
+    slip: np.ndarray
     divergence: Rows
     poisson: Panels
     fixed: np.ndarray
@@ -62,9 +65,10 @@ class Operators:
     """What `assemble` makes of a problem.
 
     velocity_order, pressure_order: numbers of scikit-fem's nodes in the solver's order: velocity nodes that are free,
-    those that are read, other fixed ones. free: count of the free ones. inputs, functionals: their names in the order
-    of amplitudes and of what a step gives. kinetic: (inputs,), as in `Problem`. sensors: name -> field and rows, acting
-    on the solver's order. precision: of increments and residuals. digest: hash of every number a step uses.
+    those that are read, other fixed ones. free: count of the free ones, the last of which slip. inputs, functionals:
+    their names in the order of amplitudes and of what a step gives. kinetic: (inputs,), as in `Problem`. sensors: name
+    -> field and rows, acting on the solver's order. precision: of increments and residuals. digest: hash of every
+    number a step uses.
     """
 
     mesh: Mesh
@@ -82,6 +86,13 @@ class Operators:
     def space(self) -> Space:
         """The finite-element spaces. Stepping needs none of it, so it is built when asked for and travels nowhere."""
         return spaces.build(self.mesh)
+
+    @property
+    def slip(self) -> tuple[np.ndarray, int]:
+        """The nodes that slip, in scikit-fem's numbers, and the component of their velocity that is zero."""
+        panels, held = self.tables.slip
+        first = self.tables.momentum.first
+        return self.velocity_order[first[len(first) - 1 - panels] : self.free], int(held)
 
     @property
     def precision(self) -> type:
@@ -122,7 +133,9 @@ def assemble(
     space, dt, nu = problem.space, time_step, viscosity
     n, m = len(space.x), len(space.mesh.points)
     A = _momentum_matrix(space, scheme, dt, nu, mean) + damping(space, scheme, dt, fluctuation)
-    momentum, free = _factor(A, np.setdiff1d(np.arange(n), problem.fixed))
+    inside = np.setdiff1d(np.arange(n), np.concatenate([problem.fixed, problem.slip]))
+    momentum, free = _factor(A, np.concatenate([inside, problem.slip]), len(problem.slip))
+    slipping = np.count_nonzero(momentum.first[:-1] >= len(free) - len(problem.slip))
     read = np.flatnonzero(sum((f.phi.any(axis=1) for f in problem.functionals), np.zeros(n, bool)))
     velocity = np.concatenate([free, read, np.setdiff1d(problem.fixed, read)])
     poisson, p_free = _factor(space.pressure_stiffness, np.setdiff1d(np.arange(m), problem.pressure_fixed))
@@ -142,6 +155,7 @@ def assemble(
     }
     tables = Tables(
         **{name: _rounded(part, precision) for name, part in acting.items()},
+        slip=np.array([slipping, problem.held], np.uint32),
         divergence=factors.pair(*(-scheme.new / dt * B[p_free][:, velocity] for B in space.divergence)),
         fixed=problem.steady[velocity[len(free) :]],
         input_rows=driven.astype(np.uint32),
@@ -164,9 +178,9 @@ def _momentum_matrix(space: Space, scheme: Scheme, dt: float, nu: float, mean: n
     return sp.csr_matrix(A + spaces.clean(spaces.advection(space, mean)))
 
 
-def _factor(matrix: sp.csr_matrix, free: np.ndarray) -> tuple[Panels, np.ndarray]:
-    """Return the factors of a matrix among the free nodes, and those in the order of elimination."""
-    panels, order = factors.factor(matrix[free][:, free])
+def _factor(matrix: sp.csr_matrix, free: np.ndarray, last: int = 0) -> tuple[Panels, np.ndarray]:
+    """Return the factors of a matrix among free nodes, and those in the order of elimination; the last ones stay so."""
+    panels, order = factors.factor(matrix[free][:, free], last)
     return panels, free[order]
 
 

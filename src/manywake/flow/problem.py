@@ -1,12 +1,12 @@
 """The posed problem: what holds on the boundary of a mesh, what drives it, and what is read from it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import skfem
 
 from manywake.case.case import Case
-from manywake.case.conditions import Outflow
+from manywake.case.conditions import Free, FreeSlip, Outflow
 from manywake.case.geometry import Body, Side
 from manywake.flow import space as spaces
 from manywake.flow.mesh import Mesh
@@ -36,7 +36,8 @@ class Problem:
     fixed: velocity nodes of given velocity, sorted. steady: (n, 2), profiles: (inputs, n, 2), zero elsewhere.
     pressure_fixed: pressure nodes held at zero. functionals: what is read, bodies first. inputs: their names.
     flux_error: relative error of each jet's interpolated flux before it was scaled. kinetic: (inputs,), flux of kinetic
-    energy into the fluid at unit amplitude, as a coefficient 2P / (rho U^3 L).
+    energy into the fluid at unit amplitude, as a coefficient 2P / (rho U^3 L). slip: velocity nodes, none of them
+    fixed, where the component `held` is zero and the other free.
     """
 
     space: Space
@@ -48,6 +49,8 @@ class Problem:
     profiles: np.ndarray
     flux_error: np.ndarray
     kinetic: np.ndarray
+    slip: np.ndarray = field(default_factory=lambda: np.empty(0, int))
+    held: int = 1
 
 
 class Wall:
@@ -77,15 +80,29 @@ def pose(case: Case, mesh: Mesh) -> Problem:
     """Return the problem that a case states on a mesh."""
     space = spaces.build(mesh)
     bodies = [name for name in mesh.boundaries if case.body(name) is not None]
-    held = [name for c in case.conditions if not isinstance(c, Outflow) for name in c.on]
+    given = [name for c in case.conditions if not isinstance(c, Free) for name in c.on]
     open_ends = [mesh.boundaries[name] for c in case.conditions if isinstance(c, Outflow) for name in c.on]
     pressure_fixed = np.unique(np.concatenate(open_ends)) if open_ends else np.array([0])
     steady = _steady(case, space)
     steady[space.boundary_nodes(bodies)] = 0.0
-    fixed, inputs = space.boundary_nodes([*held, *bodies]), tuple(actuator.on for actuator in case.actuators)
+    fixed, inputs = space.boundary_nodes([*given, *bodies]), tuple(actuator.on for actuator in case.actuators)
     driven = profiles_of(case, space)
+    slip, held = _slip(case, space)
+    for velocity in (steady, *driven[0]):
+        velocity[slip, held] = 0.0  # at the ends of slip sides too, where the rest is given
     functionals = _functionals(case, space, steady, driven[0])
-    return Problem(space, fixed, steady, pressure_fixed, functionals, inputs, *driven)
+    posed = fixed, steady, pressure_fixed, functionals, inputs, *driven
+    return Problem(space, *posed, np.setdiff1d(slip, fixed), held)
+
+
+def _slip(case: Case, space: Space) -> tuple[np.ndarray, int]:
+    """Return the velocity nodes of all slip sides, ends included, and the component of the velocity through them."""
+    names = [name for c in case.conditions if isinstance(c, FreeSlip) for name in c.on]
+    nodes = space.boundary_nodes(names)
+    if not names:
+        return nodes, 1
+    side = next(side for side in case.domain.sides() if side.name in names)
+    return nodes, int(np.abs(np.subtract(side.end, side.start)).argmin())
 
 
 def _steady(case: Case, space: Space) -> np.ndarray:
@@ -93,7 +110,7 @@ def _steady(case: Case, space: Space) -> np.ndarray:
     steady = np.zeros_like(space.x)
     for condition in case.conditions:
         for side in case.domain.sides():
-            if side.name in condition.on and not isinstance(condition, Outflow):
+            if side.name in condition.on and not isinstance(condition, Free):
                 nodes = _on_side(space, side)
                 steady[nodes] = condition.velocity(side, space.x[nodes])
     return steady

@@ -147,6 +147,7 @@ def kicked(case: Case, ops: Operators, strength: float) -> Start:
     gust = strength * case.scales.velocity * np.exp(-distance / (0.5 * length) ** 2)
     u = np.stack([np.zeros_like(x), gust], axis=1)
     u[ops.velocity_order[ops.free :]] = 0.0
+    u[ops.slip] = 0.0
     return Start(u, u.copy(), *np.zeros((3, len(ops.pressure_order))))
 
 

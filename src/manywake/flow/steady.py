@@ -38,7 +38,8 @@ def solve(case: Case, problem: Problem, tolerance: float = 1e-9, most: int = 30)
     space, basis = problem.space, problem.space.velocity
     n, m = len(space.x), len(space.mesh.points)
     pinned = np.empty(0, int) if case.outlet else 2 * n + problem.pressure_fixed
-    free = np.setdiff1d(np.arange(2 * n + m), np.concatenate([problem.fixed, n + problem.fixed, pinned]))
+    slipping = n * problem.held + problem.slip
+    free = np.setdiff1d(np.arange(2 * n + m), np.concatenate([problem.fixed, n + problem.fixed, slipping, pinned]))
     Bx, By = space.divergence
     x = np.concatenate([*problem.steady.T, np.zeros(m)])
 

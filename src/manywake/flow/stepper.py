@@ -50,7 +50,7 @@ def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, parts, p_star, amplitudes,
         kernels.convection(ops.curved_nodes, ops.curved_inverse, e, y)
         _read_residual(ops, s, parts, amplitudes, readings)
 
-        # increment of the velocity (eq. 9): boundary values, then the free nodes
+        # increment of the velocity (eq. 9): boundary values, then the free nodes, those that slip last
         for i in range(len(ops.fixed)):
             g = join(splat(ops.fixed[i, 0], amplitudes), splat(ops.fixed[i, 1], amplitudes))
             store(y, nf + i, 0, rounded(sub(g, _ahead(ahead, u, u_old, nf + i)), y))
@@ -62,7 +62,7 @@ def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, parts, p_star, amplitudes,
                 x, z = fma(ops.input_profile[j, k, 0], q, x), fma(ops.input_profile[j, k, 1], q, z)
             store(y, i, 0, rounded(sub(join(x, z), _ahead(ahead, u, u_old, i)), y))
         kernels.subtract_rows(ops.coupling_rows, *ops.coupling[:], y, y)
-        kernels.solve(*ops.momentum[:], y)
+        kernels.solve_held(*ops.momentum[:], ops.slip[0], ops.slip[1], e, y)
 
         # velocity at t + dt, and what the next step starts from
         u, u_old = u_old, u
