@@ -24,6 +24,8 @@ def plain(value: Any) -> Any:
         return [plain(part) for part in value]
     if isinstance(value, np.ndarray | np.generic):
         return plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)  # which JSON has no number for
     if callable(value):
         angles = np.linspace(0.0, 2 * np.pi, 37)[:-1]
         return [[_digits(number) for number in point] for point in np.asarray(value(angles)).tolist()]
@@ -51,11 +53,13 @@ def digest(data: Any) -> str:
 
 
 def flow_digest(chosen: Case) -> str:
-    """Return a hash of all that decides the uncontrolled flow: the case but for sensors and limits."""
+    """Return a hash of all that decides the uncontrolled flow: the case but for sensors and the agent's limits."""
     data = case(chosen)
     del data["sensors"]
     for actuator in data["actuators"]:
         del actuator["limit"]
+    if not data["disturbances"]:
+        del data["disturbances"]  # the hash of a flow without them is that of before there were any
     return digest(data | {"time_step": chosen.dt})
 
 

@@ -153,8 +153,8 @@ def _average(flow: FlowBatch, c_l: np.ndarray, report: Progress, what: str) -> t
 
 
 def free_run(flow: FlowBatch, steps: int) -> dict[str, np.ndarray]:
-    """Advance a single uncontrolled flow; return its readings by name, (steps,)."""
-    still = np.zeros((steps, len(flow.ops.inputs), 1))
+    """Advance a single uncontrolled flow, with its disturbances; return its readings by name, (steps,)."""
+    still = flow.disturbed(np.zeros((steps, flow.ops.actuators, 1)))
     return {name: part[:, 0] for name, part in readings.named(flow.ops, flow.advance(still), still).items()}
 
 
