@@ -182,12 +182,30 @@ def functionals(case, space, profiles):
     }
 
 
-def step(case, space, start, jets, profiles, boundaries, mean, fluctuation):
+def load(force, space):
+    """Return (f, psi_i) for every node's function, (n, 2), for a force f inside the fluid; quadrature of degree 8."""
+    basis = skfem.Basis(space.velocity.mesh, skfem.ElementTriP2(), intorder=8)
+    squared = sum((x - at) ** 2 for x, at in zip(np.asarray(basis.global_coordinates()), force.at, strict=True))
+    bell = np.exp(-squared / force.radius**2)
+    tested = skfem.LinearForm(lambda v, w: w.bell * v).assemble(basis, bell=bell)
+    return np.stack([component * tested for component in force.along], axis=1)
+
+
+def push(rows, loads, amplitudes, out):
+    """Return out with forces added to rows of those numbers. loads: (inputs, rows, 2). amplitudes: (inputs, lanes)."""
+    out = out.copy()
+    for r, i in enumerate(rows):
+        for q, pushed in zip(amplitudes, loads[:, r], strict=True):
+            out[i] += pushed[:, None] * q
+    return out
+
+
+def step(case, space, start, jets, profiles, boundaries, mean, fluctuation, forces=()):
     """Advance one flow by one step in scikit-fem's order; return u, p, phi and what is read, by name.
 
     jets: (2,) flow rates. profiles: (2, n, 2) velocity of the jets at unit flow rate. boundaries: dict with the
     velocity nodes `fixed` and `slip`, the inlet data `steady` (n, 2) and the pressure nodes `pressure`. mean: (n, 2),
-    zero where the scheme has none. fluctuation: (n,).
+    zero where the scheme has none. fluctuation: (n,). forces: (force inside the fluid, amplitude) each.
     """
     scheme, dt, nu = case.scheme, case.time_step, case.viscosity
     M, K = space.mass, space.stiffness
@@ -201,12 +219,14 @@ def step(case, space, start, jets, profiles, boundaries, mean, fluctuation):
     C = convection_form(space, e, mean) - S @ e
     A = a / dt * M + theta * nu * K + advection(space, mean) + S
 
+    loads = {force.on: load(force, space) for force, _ in forces}
+    pushed = sum((q * loads[force.on] for force, q in forces), np.zeros_like(e))
     u = boundaries["steady"] + np.einsum("j,jnc->nc", jets, profiles)
     for c in range(2):
         fixed = np.union1d(boundaries["fixed"], boundaries["slip"]) if c == 1 else boundaries["fixed"]
         free = np.setdiff1d(np.arange(n), fixed)
         right = M @ w[:, c] / dt - (1 - theta) * nu * (K @ w[:, c]) - C[:, c] + space.divergence[c].T @ p_star
-        right = right - A[:, fixed] @ u[fixed, c]
+        right = right + pushed[:, c] - A[:, fixed] @ u[fixed, c]
         u[free, c] = np.linalg.solve(A[free][:, free].toarray(), right[free])
 
     phi = np.zeros(m)
@@ -218,12 +238,14 @@ def step(case, space, start, jets, profiles, boundaries, mean, fluctuation):
     residual = np.empty((n, 2))
     for c in range(2):
         residual[:, c] = A @ u[:, c] - M @ w[:, c] / dt + (1 - theta) * nu * (K @ w[:, c]) + C[:, c]
-        residual[:, c] -= space.divergence[c].T @ p
+        residual[:, c] -= space.divergence[c].T @ p + pushed[:, c]
     blown = np.einsum("j,jnc->nc", jets, profiles)
     read = {}
     for name, (pieces, tested, scale, counts) in functionals(case, space, profiles).items():
         value = -(tested * residual).sum() + nu * wall(space, pieces, tested, u)
         read[name] = scale * (value + momentum(space, pieces, tested, blown) * counts)
+    for name, on in loads.items():
+        read[f"work.{name}"] = 2.0 / (case.scales.velocity**3 * case.scales.length) * (on * u).sum()
     return u, p, phi, read
 
 

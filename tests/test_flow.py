@@ -6,7 +6,21 @@ import re
 import numpy as np
 import pytest
 
-from manywake.case import BDF2, BDF2_MEAN, GODA, Box, Circle, FreeSlip, Jet, NoSlip, Outflow, Parabola, Pressure
+from manywake.case import (
+    BDF2,
+    BDF2_MEAN,
+    GODA,
+    BodyForce,
+    Box,
+    Circle,
+    FreeSlip,
+    Jet,
+    Noise,
+    NoSlip,
+    Outflow,
+    Parabola,
+    Pressure,
+)
 from manywake.case.describe import flow_digest
 from manywake.flow import exact, problem, readings, statistics
 from manywake.flow import mesh as meshes
@@ -147,18 +161,23 @@ def test_the_rest_of_a_batch_is_carried_by_as_few_lanes_as_will_do():
 # ---- the step is the one of docs/numerics.md
 
 
+PUSH = BodyForce("push", 10.0, at=(0.06, 0.02), radius=0.03, along=(0.6, -0.8))
+"""A force that reaches to the body and past its curved triangles."""
+
+
+@pytest.mark.parametrize("forces", [(), (PUSH,)], ids=["jets", "force"])
 @pytest.mark.parametrize("assemble", [in_doubles, in_singles], ids=["doubles", "singles"])
 @pytest.mark.parametrize("scheme", [BDF2, BDF2_MEAN, GODA], ids=lambda scheme: scheme.name)
 @pytest.mark.parametrize("walls", [NoSlip, FreeSlip], ids=lambda walls: walls.__name__)
-def test_a_step_is_its_slow_twin(walls, scheme, assemble):
+def test_a_step_is_its_slow_twin(walls, scheme, assemble, forces):
     conditions = walls("bottom", "top"), Parabola("left"), Outflow("right")
-    chosen = dataclasses.replace(TINY, scheme=scheme, conditions=conditions)
+    chosen = dataclasses.replace(TINY, scheme=scheme, conditions=conditions, actuators=(*TINY.actuators, *forces))
     mesh = tiny_mesh(chosen)
     space = spaces.build(mesh)
     mean = 0.7 * np.random.default_rng(1).normal(size=space.x.shape) * scheme.mean
     fluctuation = 60.0 * np.random.default_rng(2).random(len(space.x))  # in triangles as large as these
     ours = assemble(chosen, mesh, mean, fluctuation)
-    profiles, _, _ = problem.profiles_of(chosen, space)
+    profiles, _ = problem.profiles_of(chosen, space)
     inlet, outlet = space.boundary_nodes(["left"]), space.boundary_vertices("right")
     steady = np.zeros_like(space.x)
     (low, high), y = chosen.domain.y, space.x[inlet, 1]
@@ -179,9 +198,10 @@ def test_a_step_is_its_slow_twin(walls, scheme, assemble):
     # measured 7e-13 and 2.2e-5 at the third step of a field as rough as this, in which each step magnifies the errors
     # of the last; at the first 7e-14 and 7e-7, which is 6 eps of singles
     bound = 1e-11 if ours.precision == np.float64 else 1e-4
-    for q in ((0.01, -0.01), (-0.004, 0.007), (0.0, 0.0)):
-        u, p, phi, read = naive.step(chosen, space, start, q, profiles, boundaries, mean, fluctuation)
-        got = flow.advance(np.array(q)[None, :, None])[0, :, 0]
+    for q, push in (((0.01, -0.01), 7.0), ((-0.004, 0.007), -9.0), ((0.0, 0.0), 0.0)):
+        pushed = [(force, push) for force in forces]
+        u, p, phi, read = naive.step(chosen, space, start, q, profiles[:2], boundaries, mean, fluctuation, pushed)
+        got = flow.advance(np.array([*q, *(push for _ in forces)])[None, :, None])[0, :, 0]
         start = Start(u, start.u, p, phi, start.phi)
         state = flow.state(0)
         for twin, name in ((u, "u"), (p, "p"), (phi, "phi")):
@@ -331,7 +351,7 @@ def test_a_jet_blows_its_flow_rate_exactly(ops, posed):
 
 
 def test_flux_error_before_scaling_is_below_half_a_percent(shipped, ops, posed):
-    _, error, _ = problem.profiles_of(shipped.case, ops.space)
+    _, error = problem.profiles_of(shipped.case, ops.space)
     assert (abs(error) < 5e-3).all()
     assert (posed.flux_error == error).all()
 
@@ -556,5 +576,16 @@ def test_flow_digest_ignores_sensors_and_limits_only():
     same = dataclasses.replace(one, **points((0.1, 0.0)), actuators=weaker)
     assert flow_digest(same) == flow_digest(one)
     moved = Circle("cylinder", (0.0, 0.0), RADIUS, parts={"top": (75, 85), "bottom": (265, 275)})
-    for other in ({"reynolds": 90.0}, {"scheme": GODA}, {"bodies": (moved,)}, {"time_step": 4e-4}):
-        assert flow_digest(dataclasses.replace(one, **other)) != flow_digest(one)
+    known = {flow_digest(one)}
+    noise = Noise(BodyForce("upstream", at=(-0.1, 0.0), radius=0.02), rms=1.0, time=0.05)
+    for other in (
+        {"reynolds": 90.0},
+        {"scheme": GODA},
+        {"bodies": (moved,)},
+        {"time_step": 4e-4},
+        {"disturbances": (noise,)},
+        {"disturbances": (dataclasses.replace(noise, rms=2.0),)},
+        {"disturbances": (dataclasses.replace(noise, by=dataclasses.replace(noise.by, limit=2.0)),)},
+    ):
+        known.add(flow_digest(dataclasses.replace(one, **other)))
+    assert len(known) == 8

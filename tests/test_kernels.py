@@ -132,6 +132,22 @@ def test_linear_terms(number, seed, tested, more, m):
 @precisions
 @given(seeds, sizes, sizes)
 @few
+def test_push(number, seed, nodes, inputs):
+    rng = np.random.default_rng(seed)
+    rows = np.sort(rng.permutation(nodes)[: (nodes + 1) // 2]).astype(np.uint32)
+    loads, y = rng.normal(size=(inputs, len(rows), 2)), normal(rng, (nodes, 2), number)
+    amplitudes = normal(rng, (3, inputs), np.float64)
+    ours = run(lambda q, y: kernels.push(rows, loads, q, 1, simd.pairs(y)), amplitudes, y)[1]
+    twin, terms = (
+        naive.push(rows, *a)
+        for a in ((loads, amplitudes[1], y.astype(float)), (abs(loads), abs(amplitudes[1]), abs(y.astype(float))))
+    )
+    near(ours, twin, terms, number)
+
+
+@precisions
+@given(seeds, sizes, sizes)
+@few
 def test_subtract_rows(number, seed, free, fixed):
     rng = np.random.default_rng(seed)
     rows = np.sort(rng.permutation(free)[: (free + 1) // 2]).astype(np.uint32)

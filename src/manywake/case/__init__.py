@@ -8,7 +8,7 @@ from dataclasses import replace
 from manywake.case.case import Case, Scales, Sizes
 from manywake.case.conditions import FreeSlip, NoSlip, Outflow, Parabola, Stream
 from manywake.case.geometry import Box, Circle, Outline, Polygon, Smooth, grid, ring
-from manywake.case.inputs import Jet, Rotation
+from manywake.case.inputs import BodyForce, Gust, Jet, Noise, Rotation
 from manywake.case.laws import Exponential, Held, Linear
 from manywake.case.learning import Learning
 from manywake.case.references import Forced, Settled, Statistic, Steady
@@ -20,7 +20,8 @@ __all__ = [
     "Case", "Scales", "Sizes", "replace",
     "FreeSlip", "NoSlip", "Outflow", "Parabola", "Stream",
     "Box", "Circle", "Outline", "Polygon", "Smooth", "grid", "ring",
-    "Jet", "Rotation", "Pressure", "Velocity",
+    "Jet", "Rotation", "Gust", "BodyForce", "Noise",
+    "Pressure", "Velocity",
     "BDF2", "BDF2_MEAN", "GODA",
     "Task", "PAIR", "alike", "balanced", "pairs", "twice_the_worst",
     "Exponential", "Held", "Linear", "Learning",

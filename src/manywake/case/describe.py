@@ -24,6 +24,8 @@ def plain(value: Any) -> Any:
         return [plain(part) for part in value]
     if isinstance(value, np.ndarray | np.generic):
         return plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)  # which JSON has no number for
     if callable(value):
         angles = np.linspace(0.0, 2 * np.pi, 37)[:-1]
         return [[_digits(number) for number in point] for point in np.asarray(value(angles)).tolist()]

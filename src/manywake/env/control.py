@@ -1,6 +1,6 @@
 """Flows under a task: actions become amplitudes, readings become rewards. One loop drives a batch."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +32,7 @@ class Outcome:
     """What one action brought.
 
     reward, diverged, truncated: (B,). means: every reading by name, averaged over the action, (B,), NaN for a flow that
-    blew up. series: every reading by name at every solver step, (steps, B). amplitudes: (steps, inputs, B).
+    blew up. series: every reading by name at every solver step, (steps, B). amplitudes: (steps, actuators, B).
     """
 
     reward: np.ndarray
@@ -44,7 +44,10 @@ class Outcome:
 
 
 class ControlledFlows:
-    """B flows under one task: acts on all of them at once, and keeps what each input does."""
+    """B flows under one task: acts on all of them at once, and keeps what each of the agent's inputs does.
+
+    An episode is a function of its seed and of the actions. It is seed b in column b until `reset` gives another.
+    """
 
     def __init__(self, flow: Flow, task: Task, flows: int):
         stability.check(flow.case, flow.baseline.withstood, task.law)
@@ -59,13 +62,21 @@ class ControlledFlows:
         self.actions = np.zeros(flows, dtype=np.int64)
         self.means = {name: np.full(flows, value) for name, value in self.free.items()}
 
-    def reset(self, columns: list[int] | np.ndarray, start: Start | None = None) -> None:
-        """Put columns back to their start state (or to `start`), with amplitudes and action count 0."""
-        self.batch.reset(columns, start)
+    def reset(self, columns: Sequence[int] | np.ndarray, seeds: Sequence[int], start: Start | None = None) -> None:
+        """Begin an episode in each of some columns, with amplitudes and action count 0.
+
+        seeds: of the episodes, one for each column. start: where all begin, if not where their seeds say.
+        """
+        for column, seed in zip(columns, seeds, strict=True):
+            self.batch.reset([column], self._start(seed) if start is None else start, [seed])
         self.amplitude[:, columns] = self.wanted[:, columns] = 0.0
         self.actions[columns] = 0
         for name, value in self.free.items():
             self.means[name][columns] = value
+
+    def _start(self, seed: int) -> Start:
+        """Return the state that an episode of this seed begins from: there is one for all."""
+        return self.flow.baseline.start
 
     def observe(self) -> np.ndarray:
         """Return what the task observes, (B, values) float32, finite and within the observation space.
@@ -86,7 +97,7 @@ class ControlledFlows:
         mixed = sum(self.mixing[:, k, None] * clipped[None, :, k] for k in range(clipped.shape[1]))
         wanted = self.limits[:, None] * mixed
         amplitudes = self.task.law.series(self.steps, self.flow.case.dt, self.amplitude, self.wanted, wanted)
-        read = self.batch.advance(amplitudes)
+        read = self.batch.advance(self.batch.disturbed(amplitudes))
         self.amplitude, self.wanted = amplitudes[-1].copy(), wanted
         self.actions += 1
         series = readings.named(self.flow.operators, read, amplitudes)

@@ -70,8 +70,8 @@ def solve(level: int, time_step: float, scheme: Scheme = BDF2) -> tuple[Operator
     steady, shapes = np.zeros_like(spaces.x), np.zeros((4, *spaces.x.shape))
     steady[fixed] = STREAM
     shapes[:, fixed] = profiles(spaces.x[fixed])
-    inputs, none = tuple(f"vortex {k}" for k in range(4)), np.zeros(4)
-    posed = Problem(spaces, fixed, steady, np.array([0]), (), inputs, shapes, none, none)
+    inputs, none = tuple(f"vortex {k}" for k in range(4)), (np.zeros(4), np.zeros((4, 3)))
+    posed = Problem(spaces, fixed, steady, np.array([0]), (), inputs, shapes, *none)
     mean, corner = np.tile(STREAM, (len(spaces.x), 1)), np.exp(-np.sum((spaces.x / 0.1) ** 2, axis=1))
     ops = operators.assemble(posed, scheme, dt, VISCOSITY, mean, FLUCTUATION * corner)
     p = [pressure(spaces.mesh.points, -k * dt) for k in range(3)]

@@ -45,9 +45,10 @@ def run(
     first = np.stack([series for columns in _forcings(reference, t).values() for series in columns], axis=1)
     amplitudes = np.stack([share / mixing[0] * first for share in mixing], axis=1)
     flow, record = FlowBatch(ops, start, first.shape[1]), []
+    flow.reset(range(flow.flows), seeds=[0] * flow.flows)  # the same disturbances, if any, under all forcings
     for k in range(0, len(t), 1000):
         report(what, k / len(t))
-        chunk = amplitudes[k : k + 1000]
+        chunk = flow.disturbed(amplitudes[k : k + 1000])
         record.append(readings.named(ops, flow.advance(chunk), chunk))
     return readings.joined(record)
 

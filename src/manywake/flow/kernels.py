@@ -138,6 +138,20 @@ def linear_terms(start, column, value, e, d, g_start, g_column, g_value, p, out)
 
 
 @kernel
+def push(rows, loads, amplitudes, s, out):
+    """Add the sum over inputs j of amplitudes[s, j] loads[j, k] to out[rows[k]] (eq. 19).
+
+    loads: (inputs, rows, 2). amplitudes: (steps, inputs) lanes of doubles. out: pairs.
+    """
+    for k in range(len(rows)):
+        x, y = splat(0.0, amplitudes), splat(0.0, amplitudes)
+        for j in range(amplitudes.shape[1]):
+            q = load(amplitudes, s, j)
+            x, y = fma(loads[j, k, 0], q, x), fma(loads[j, k, 1], q, y)
+        store(out, rows[k], 0, add(load(out, rows[k], 0), rounded(join(x, y), out)))
+
+
+@kernel
 def subtract_rows(rows, start, column, value, x, out):
     """Subtract the sum over k of value[k] x[column[k]] of sparse row r from out[rows[r]]."""
     for r in range(len(rows)):

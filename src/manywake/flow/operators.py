@@ -32,8 +32,9 @@ class Tables(NamedTuple):
     What acts on rounded fields is float32 as they are: elements, linear, gradient, coupling and factors.
     fixed: (nodes of given velocity, 2), their values at zero amplitude. slip: how many panels of `momentum` at its end
     are of nodes that slip, and which component is held there. residual, increment: rows of the functionals,
-    whose columns count both components of a node, x first; of phi and of A^T phi. read_pressure: of B phi. wall, flux,
-    scale: (functionals, ...), as in `problem.Functional`.
+    whose columns count both components of a node, x first; of phi and of A^T phi. read_pressure: of B phi.
+    read_velocity: of forces inside the fluid. wall, flux, scale: (functionals, ...), as in `problem.Functional`.
+    force_rows, force_loads: nodes that forces inside the fluid push, and how, (inputs, nodes, 2).
     """
 
     nodes: np.ndarray
@@ -51,9 +52,12 @@ class Tables(NamedTuple):
     fixed: np.ndarray
     input_rows: np.ndarray
     input_profile: np.ndarray
+    force_rows: np.ndarray
+    force_loads: np.ndarray
     residual: Rows
     increment: Rows
     read_pressure: Rows
+    read_velocity: Rows
     wall: np.ndarray
     flux: np.ndarray
     scale: np.ndarray
@@ -66,9 +70,9 @@ class Operators:
 
     velocity_order, pressure_order: numbers of scikit-fem's nodes in the solver's order: velocity nodes that are free,
     those that are read, other fixed ones. free: count of the free ones, the last of which slip. inputs, functionals:
-    their names in the order of amplitudes and of what a step gives. kinetic: (inputs,), as in `Problem`. sensors: name
-    -> field and rows, acting on the solver's order. precision: of increments and residuals. digest: hash of every
-    number a step uses.
+    their names in the order of amplitudes and of what a step gives. kinetic: (inputs, 3), noise: (disturbances, 3), as
+    in `Problem`. sensors: name -> field and rows, acting on the solver's order. precision: of increments and residuals.
+    digest: hash of every number a step uses.
     """
 
     mesh: Mesh
@@ -80,6 +84,7 @@ class Operators:
     inputs: tuple[str, ...]
     functionals: tuple[str, ...]
     kinetic: np.ndarray
+    noise: np.ndarray
     sensors: dict[str, tuple[str, Rows]]
 
     @cached_property
@@ -93,6 +98,11 @@ class Operators:
         panels, held = self.tables.slip
         first = self.tables.momentum.first
         return self.velocity_order[first[len(first) - 1 - panels] : self.free], int(held)
+
+    @property
+    def actuators(self) -> int:
+        """How many of the inputs are the agent's: the first; the others are disturbances."""
+        return len(self.inputs) - len(self.noise)
 
     @property
     def precision(self) -> type:
@@ -160,12 +170,14 @@ def assemble(
         fixed=problem.steady[velocity[len(free) :]],
         input_rows=driven.astype(np.uint32),
         input_profile=np.ascontiguousarray(problem.profiles[:, velocity[driven]]),
+        **_forces(problem, velocity[: len(free) + len(read)]),
         **_readings(problem, A, nu, velocity, pressure),
         numbers=np.array([scheme.ahead, *scheme.pressure]),
     )
     names = problem.inputs, tuple(functional.name for functional in problem.functionals)
     probes = {sensor.name: _sensor(space, sensor, velocity, pressure) for sensor in sensors}
-    return Operators(space.mesh, tables, velocity, pressure, len(free), dt, *names, problem.kinetic, probes)
+    by_input = problem.kinetic, np.array(problem.noise).reshape(-1, 3)
+    return Operators(space.mesh, tables, velocity, pressure, len(free), dt, *names, *by_input, probes)
 
 
 def _momentum_matrix(space: Space, scheme: Scheme, dt: float, nu: float, mean: np.ndarray | None) -> sp.csr_matrix:
@@ -206,6 +218,20 @@ def _linear(space: Space, scheme: Scheme, dt: float, nu: float, velocity, pressu
     return {"linear": factors.pair(-nu * K, -old / dt * M), "gradient": gradient}
 
 
+NEGLIGIBLE = 1e-12
+"""Share of the largest entry of a load below which a node is not pushed."""
+
+
+def _forces(problem: Problem, tested: np.ndarray) -> dict[str, Any]:
+    """Return the rows that forces inside the fluid push, of the nodes whose residual is needed, and their loads."""
+    if problem.loads is None:
+        return {"force_rows": np.zeros(0, np.uint32), "force_loads": np.zeros((len(problem.inputs), 0, 2))}
+    size = abs(problem.loads)
+    pushed = (size > NEGLIGIBLE * size.max(axis=(1, 2), keepdims=True)).any(axis=(0, 2))[tested]
+    loads = np.ascontiguousarray(problem.loads[:, tested[pushed]])
+    return {"force_rows": np.flatnonzero(pushed).astype(np.uint32), "force_loads": loads}
+
+
 def _readings(problem: Problem, A: sp.csr_matrix, nu: float, velocity, pressure) -> dict[str, Any]:
     """Return the rows of all functionals, and their constants."""
     found, (Bx, By), inputs = problem.functionals, problem.space.divergence, len(problem.profiles)
@@ -215,10 +241,14 @@ def _readings(problem: Problem, A: sp.csr_matrix, nu: float, velocity, pressure)
         flat = [field[order].ravel() for field in fields]
         return factors.rows(sp.csr_matrix(np.array(flat).reshape(len(fields), -1 if fields else len(order))))
 
+    still = np.zeros_like(problem.space.x)
+    loads = np.array([still if f.load is None else f.load for f in found]).reshape(len(found), *still.shape)
+    moved = (sp.csr_matrix(loads[:, velocity, c]) for c in range(2))
     return {
         "residual": rows([f.phi for f in found], velocity),
         "increment": rows([A.T @ f.phi for f in found], velocity),
         "read_pressure": rows([Bx @ f.phi[:, 0] + By @ f.phi[:, 1] for f in found], pressure),
+        "read_velocity": factors.pair(*moved),
         "wall": np.array([nu * f.wall for f in found]).reshape(len(found), inputs + 1),
         "flux": np.array([f.flux for f in found]).reshape(len(found), inputs, inputs),
         "scale": np.array([f.scale for f in found]),

@@ -79,8 +79,8 @@ def clock(case: Case) -> str:
 
 
 def free_run(flow: FlowBatch, steps: int) -> dict[str, np.ndarray]:
-    """Advance uncontrolled flows; return their readings by name, (steps, B)."""
-    still = np.zeros((steps, len(flow.ops.inputs), flow.flows))
+    """Advance uncontrolled flows, with their disturbances; return their readings by name, (steps, B)."""
+    still = flow.disturbed(np.zeros((steps, flow.ops.actuators, flow.flows)))
     return readings.named(flow.ops, flow.advance(still), still)
 
 

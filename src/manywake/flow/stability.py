@@ -97,12 +97,10 @@ class _Waves:
         self.flows, self.amplitude = len(every), np.array([signs for signs, _, _ in every]).T
         self.period, self.phase = (np.array([part[k] for part in every], dtype=float) for k in (1, 2))
 
-    def series(self, ops: Operators, t: np.ndarray) -> np.ndarray:
-        """Return the amplitudes (steps, inputs, flows) at times t (steps,), of the actuators alone."""
+    def series(self, t: np.ndarray) -> np.ndarray:
+        """Return the amplitudes (steps, actuators, flows) at times t (steps,)."""
         up = (t[:, None] / self.period + self.phase + 1e-9) % 1.0 < 0.5
-        series = np.zeros((len(t), len(ops.inputs), self.flows))
-        series[:, : len(self.amplitude)] = self.amplitude * np.where(up, 1.0, -1.0)[:, None, :]
-        return series
+        return self.amplitude * np.where(up, 1.0, -1.0)[:, None, :]
 
 
 def fluctuation(
@@ -116,7 +114,7 @@ def fluctuation(
     batch = _batch(ops, starts, waves.flows)
     every = max(round(0.1 * case.convective_time / dt), 1)
     for k in range(round(MEASURED * case.convective_time / dt / every)):
-        batch.advance(waves.series(ops, dt * (np.arange(every) + 1 + k * every)))
+        batch.advance(batch.disturbed(waves.series(dt * (np.arange(every) + 1 + k * every))))
         for column in range(batch.flows):
             np.maximum(largest, np.linalg.norm(batch.state(column).u - mean, axis=1), out=largest)
     return largest
@@ -150,14 +148,15 @@ def _tried(
     rise: share of what is missing that the amplitudes make up in a step.
     """
     batch, dt, found = _batch(ops, starts, waves.flows), ops.time_step, []
-    amplitude = np.zeros((len(ops.inputs), waves.flows))
+    amplitude = np.zeros((ops.actuators, waves.flows))
     steps = max(round(WINDOW * case.convective_time / dt), 1)
     last = round(TRIED / WINDOW)
     for k in range(last + round(HELD / WINDOW)):
         t = dt * np.minimum(np.arange(steps) + 1 + k * steps, last * steps)
-        amplitudes = waves.series(ops, t)
+        amplitudes = waves.series(t)
         for wanted in amplitudes:  # in place
             amplitude = wanted[:] = amplitude + rise * (wanted - amplitude)
+        amplitudes = batch.disturbed(amplitudes)
         read = batch.advance(amplitudes)
         if readings.blown(ops, read).any():
             return {}

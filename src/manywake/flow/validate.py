@@ -135,7 +135,7 @@ def _symbol(reading: str) -> str:
 def fluxes(flow: Flow, posed: Problem) -> list[Check]:
     """Fluxes of the discrete inputs, as the time loop imposes them, through all walls that they act on."""
     tables, space = flow.operators.tables, posed.space
-    blowing = [(k, actuator) for k, actuator in enumerate(flow.case.actuators) if actuator.flux is not None]
+    blowing = [(k, actuator) for k, actuator in enumerate(flow.case.inputs) if actuator.flux is not None]
     if not blowing:
         return []
     walls = {actuator.on.partition(".")[0] for _, actuator in blowing}
@@ -169,7 +169,8 @@ def forces(flow: Flow) -> list[Check]:
     if case.actuators:
         amplitudes[:, 0] = 0.5 * case.actuators[0].limit
     batch = FlowBatch(ops, flow.baseline.start, 1)
-    record = readings.named(ops, batch.advance(amplitudes), amplitudes)
+    driven = batch.disturbed(amplitudes)
+    record = readings.named(ops, batch.advance(driven), driven)
     state, source = batch.state(0), "surface integral of the stress, same flow"
     c_d, c_l = readings.surface_force(case, ops.space, state.u, state.p)
     return [
