@@ -103,7 +103,7 @@ def test_a_box_that_moves_as_a_whole_takes_its_fluid_along_at_order_2_in_time(sc
 
 def test_the_power_of_a_box_that_moves_is_what_its_fluid_gains_and_nothing_when_it_gives_back():
     _, _, power, gained = moving_box(1.5e-3)
-    assert abs(power - np.maximum(gained, 0.0)).max() < 2e-3 * gained.max()
+    assert abs(power - np.maximum(gained, 0.0)).max() < 5e-4 * gained.max()  # measured 7e-5
     assert (power >= 0).all() and (power == 0).sum() > 0.2 * len(power)
 
 
@@ -269,7 +269,7 @@ def test_a_jet_on_a_side_of_the_domain_blows_its_flow_rate_into_it():
 
 # ---- forces inside the fluid: a swirl that they hold up, u = a(t) g(x), p = b(t) h(x), g = 0 on the walls
 
-PI, VISCOUS, PULSE, END = np.pi, 0.05, 7.0, 0.12
+PI, VISCOUS, PULSE, END = np.pi, 0.05, 7.0, 0.128
 
 
 def swirl(x: np.ndarray) -> list[np.ndarray]:
@@ -334,7 +334,7 @@ def held_up(level: int, time_step: float, scheme=BDF2) -> tuple[float, float]:
 
 
 def test_a_swirl_that_forces_hold_up_converges_with_rate_3_and_its_pressure_with_2():
-    # measured 4.6e-3, 5.8e-4 and 4.6e-3, 9.8e-4
+    # measured 4.7e-3, 5.9e-4 and 4.3e-3, 9.2e-4: rates 3.0 and 2.2
     (u, p), (finer_u, finer_p) = (held_up(level, 1e-3) for level in (2, 3))
     assert rate(u, finer_u) > 2.9
     assert rate(p, finer_p) > 1.9
@@ -342,7 +342,7 @@ def test_a_swirl_that_forces_hold_up_converges_with_rate_3_and_its_pressure_with
 
 @pytest.mark.parametrize("scheme", [BDF2, BDF2_MEAN, GODA], ids=lambda scheme: scheme.name)
 def test_a_swirl_that_forces_hold_up_converges_with_the_order_of_the_scheme_in_time(scheme):
-    # measured 2.4e-3, 5.6e-4 (both second-order schemes) and 2.8e-3, 1.2e-3; the mesh's own error is 7e-5
+    # measured 2.26e-3, 5.9e-4 (both second-order schemes) and 3.8e-3, 1.4e-3; the mesh's own error is 7e-5
     (coarse, _), (fine, _) = (held_up(4, dt, scheme) for dt in (1.6e-2, 8e-3))
     assert rate(coarse, fine) > scheme.order - 0.1
 
@@ -416,15 +416,14 @@ def test_the_power_of_a_force_is_the_energy_that_its_fluid_gains_and_dissipates(
     for _ in range(3):
         amplitudes = np.full((1, 1, 1), q)
         read = readings.named(boxed, flow.advance(amplitudes), amplitudes)
-        energy.append((0.5 * size(space, flow.state(0).u) ** 2, read["power"][0, 0]))
-    (before, _), (_, power), (after, _) = energy
-    u = flow.state(0).u
+        u = flow.state(0).u
+        energy.append((0.5 * size(space, u) ** 2, nu * np.sum(u * (space.stiffness @ u)), read["power"][0, 0]))
+    (before, _, _), (_, lost, power), (after, _, last) = energy
     (load,) = closed.loads
-    assert read["power"][0, 0] == pytest.approx(2 * q * np.sum(load * u), rel=1e-12)
-    lost = nu * np.sum(u * (space.stiffness @ u))
+    assert last == pytest.approx(2 * q * np.sum(load * u), rel=1e-12)
     gained = (after - before) / (2 * CLOSED.dt)
     assert min(lost, gained) > 0.02 * power
-    assert power == pytest.approx(2 * (gained + lost), rel=0.02)  # measured 0.6 %
+    assert power == pytest.approx(2 * (gained + lost), rel=1e-3)  # measured 2e-5
     # a force against the flow takes energy out, and is not credited
     against = np.full((1, 1, 1), -0.1)
     assert readings.named(boxed, flow.advance(against), against)["power"][0, 0] == 0.0
