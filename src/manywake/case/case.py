@@ -24,21 +24,21 @@ class Scales:
 class Sizes:
     """Sizes of the triangles, in units of the case's length. The defaults resolve the wake of a cylinder at Re 100."""
 
-    body: float = 0.036
-    """Length of the facets of a body, in L."""
-    part_facets: int = 4
+    body: float = 0.048
+    """Length of the facets of a body, in L; beside a part they are as long as the part's and grow to this."""
+    part_facets: int = 5
     """Facets across a part of a body; two resolve a jet's flux to 0.22 % before scaling, one to 4 %."""
     layers: int = 4
     """Layers of quadrilaterals, cut into triangles, that lie around a body like the rings of an onion."""
-    layer_height: float = 0.025
+    layer_height: float = 0.0235
     """Height of the innermost layer, in L."""
     layer_growth: float = 1.25
     """Height of a layer by that of the one within."""
-    wake: float = 0.155
+    wake: float = 0.16
     """Length of the sides behind the bodies, in L."""
     wake_axis: float | None = None
     """Height y of the wake's axis, in the case's unit of length; the bodies' middle when not given."""
-    far: float = 0.8
+    far: float = 1.0
     """Length of the sides far from the bodies, in L."""
 
 

@@ -17,6 +17,7 @@ Charge = Callable[[Reward, Sequence[Means], Means], float]
 
 forced: readings of flows under the largest forcing, that of the case's stability run."""
 Mixing = tuple[tuple[float, ...], ...]
+STARTS = ("first", "any")
 
 PAIR: Mixing = ((1.0,), (-1.0,))
 """One action for two inputs: what the first blows in the second sucks out."""
@@ -60,6 +61,8 @@ class Task:
     every input has an action of its own."""
     law: Law = Held()
     """How amplitudes follow what is wanted."""
+    starts: str = "first"
+    """Where episodes begin: "first" at the start state, "any" at one of several far apart that the seed draws."""
     charge: Charge = twice_the_worst
     """What a flow that blew up is given for every action that was left, with which its episode ends."""
 
@@ -68,6 +71,8 @@ class Task:
             raise ValueError(f"actions: got {self.actions}, wanted at least 2")
         if self.actions != int(self.actions):
             raise ValueError(f"actions: got {self.actions}, wanted a whole number")
+        if self.starts not in STARTS:
+            raise ValueError(f"starts: got {self.starts!r}, wanted one of {', '.join(STARTS)}")
         if not self.interval > 0:
             raise ValueError(f"interval: got {self.interval:g}, wanted a positive time")
         if isinstance(self.law, type) or not hasattr(self.law, "series"):

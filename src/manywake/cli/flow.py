@@ -17,7 +17,7 @@ from manywake.cli.show import Bar, Json, numbers
 from manywake.suite import load
 from manywake.suite.load import Chosen, Definition, Setting
 
-OF_THE_TASK = ("interval", "actions", "observe", "reward", "law", "points")
+OF_THE_TASK = ("interval", "actions", "observe", "reward", "law", "starts", "points")
 """Beginnings of the settings that change nothing of the flow itself."""
 CaseName = Annotated[str, tyro.conf.arg(help=f"Which flow: {', '.join(load.names())}, or the path of a case file.")]
 

@@ -75,8 +75,11 @@ class ControlledFlows:
             self.means[name][columns] = value
 
     def _start(self, seed: int) -> Start:
-        """Return the state that an episode of this seed begins from: there is one for all."""
-        return self.flow.baseline.start
+        """Return the state that an episode of this seed begins from."""
+        starts = self.flow.baseline.starts
+        if self.task.starts == "first":
+            return starts[0]
+        return starts[int(np.random.SeedSequence(seed, spawn_key=(0,)).generate_state(1)[0]) % len(starts)]
 
     def observe(self) -> np.ndarray:
         """Return what the task observes, (B, values) float32, finite and within the observation space.

@@ -20,7 +20,7 @@ CASE = Case(
     conditions=(NoSlip("bottom", "top"), Parabola("left", mean=1.0), Outflow("right")),
     actuators=(Jet("cylinder.top", limit=0.01), Jet("cylinder.bottom", limit=0.01)),
     sensors=(Pressure("pressure", PROBES), Velocity("velocity", PROBES)),
-    sizes=Sizes(body=0.048, layers=3, layer_height=0.034, wake=0.155, wake_axis=0.005, far=0.8),
+    sizes=Sizes(wake_axis=0.005),
     scheme=BDF2_MEAN,
     time_step=1e-3,
 )

@@ -20,6 +20,7 @@ import docstring_parser
 
 from manywake import suite
 from manywake.case import door
+from manywake.case import task as tasks
 from manywake.case.case import Case
 from manywake.case.inputs import Input
 from manywake.case.laws import Held, Law, Linear
@@ -217,9 +218,10 @@ def settings(definition: Definition, protocol: str = "default") -> dict[str, Set
         found[f"points.{s.name}"] = Setting(
             s.points, points, f"Points (x, y) of the sensor {s.name}, in the case's unit of length."
         )
-    found |= _fields(task, "", ("interval", "actions", "observe", "reward", "law")) | _fields(task.law, "law.")
+    found |= _fields(task, "", ("interval", "actions", "observe", "reward", "law", "starts"))
+    found |= _fields(task.law, "law.")
     found["reward"] = Setting(reward, tuple(definition.rewards), "What is rewarded, of what the case's file has.")
-    laws = tuple(_laws(definition, task))
+    laws, found["starts"] = tuple(_laws(definition, task)), replace(found["starts"], type=tasks.STARTS)
     found["law"] = replace(found["law"], value=type(task.law).__name__.lower(), type=laws)
     return found
 
