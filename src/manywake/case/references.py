@@ -44,7 +44,8 @@ class Forced:
 
     steady: amplitudes of the first input that are held; the change of lift is that of its mean. harmonic: (amplitude,
     frequency, phases); the change of lift is that of its rms, drag and lift are means over flows whose forcing is 1 /
-    phases of a cycle apart. duration: of the runs from the start state, of which `settle` is not averaged.
+    phases of a cycle apart. floor: deviation that is tolerated of any change, however small that is. duration: of the
+    runs from the start state, of which `settle` is not averaged.
     """
 
     steady: tuple[float, ...]
@@ -52,6 +53,7 @@ class Forced:
     tolerance: float
     duration: float
     settle: float
+    floor: float = 0.0
 
 
 Reference = Settled | Statistic | Steady | Forced

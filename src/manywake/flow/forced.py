@@ -20,6 +20,8 @@ from manywake.flow.space import Space
 from manywake.flow.store import Flow
 
 FREE = "no control"
+RISE = 1 / 60
+"""Share of the time before the averages in which held amplitudes rise."""
 
 
 def names(reference: Forced) -> list[str]:
@@ -29,7 +31,8 @@ def names(reference: Forced) -> list[str]:
 
 def _forcings(reference: Forced, t: np.ndarray) -> dict[str, list[np.ndarray]]:
     """Return the amplitudes (steps,) of the first input under each forcing by name, a flow each."""
-    found = {FREE: [0.0 * t]} | {f"Q = {a:g}": [0.0 * t + a] for a in reference.steady}
+    risen = np.minimum(t / (RISE * reference.settle), 1.0)
+    found = {FREE: [0.0 * t]} | {f"Q = {a:g}": [a * risen] for a in reference.steady}
     for a, f, phases in reference.harmonic:
         sines = [a * np.sin(2 * np.pi * (f * t + k / phases)) for k in range(phases)]
         found[f"Q = {a:g} sin(2 pi {f:g} t)"] = sines

@@ -188,12 +188,18 @@ def controlled(
         disk.write(kept, lambda file: file.write(made))
     theirs = forced.kept(flow, reference, kept)["changes"]
     record = forced.run(flow.operators, flow.baseline.start, reference, mixing, report, "controlled flows")
-    source = "mesh twice as fine, half the time step"
     return [
-        Check(f"change of {quantity}, {name}", value, theirs[name][quantity], reference.tolerance, "relative", source)
+        _change(f"change of {quantity}, {name}", value, theirs[name][quantity], reference)
         for name, quantities in forced.changes(record, reference, flow.case.dt).items()
         for quantity, value in quantities.items()
     ]
+
+
+def _change(name: str, ours: float, theirs: float, reference: Forced) -> Check:
+    source = "mesh twice as fine, half the time step"
+    if reference.tolerance * abs(theirs) < reference.floor:
+        return Check(name, ours, theirs, reference.floor, "absolute", source)
+    return Check(name, ours, theirs, reference.tolerance, "relative", source)
 
 
 def orders(scheme: Scheme) -> list[Check]:
