@@ -174,10 +174,11 @@ def _recorded(flows: FreeFlows, kind: Kind, last: dict[str, np.ndarray], report:
     period = statistics.period(last[flows.clock][:, 0], dt) / unit
     _to_crossing(flows, last[flows.clock][:, 0])
     starts, record = [], []
-    for _ in range(PHASES):
+    every = (1 + MEAN_PERIODS) * period
+    for k in range(PHASES):
         starts += [flows.batch.state(column) for column in kept]
-        record.append(flows.run(period / PHASES, report, "statistics"))
-    record.append(flows.run(MEAN_PERIODS * period, report, "statistics"))
+        record.append(flows.run(period / PHASES, report, "statistics", k * period / PHASES, every))
+    record.append(flows.run(MEAN_PERIODS * period, report, "statistics", period, every))
     kept_record = {name: series[:, kept] for name, series in readings.joined(record).items()}
     return starts, statistics.uncontrolled(kept_record, flows.clock, dt, kind)
 
