@@ -11,7 +11,7 @@ from manywake.case import BodyForce, Noise
 from manywake.case.describe import flow_digest
 from manywake.env.control import ControlledFlows
 from manywake.env.env import FlowEnv, FlowVectorEnv
-from manywake.flow import archive, baseline, store
+from manywake.flow import archive, baseline, spinup, store
 from manywake.flow.batch import FlowBatch
 from manywake.flow.disturb import WARM_UP, Disturbances
 from manywake.flow.store import Flow
@@ -148,9 +148,9 @@ def test_noise_drives_the_flow_as_amplitudes_that_are_given_do(noisy):
     read = [flow.advance(flow.disturbed(np.zeros((some, 2, 3)))) for some in (5, 7)]
     np.testing.assert_array_equal(np.concatenate(read)[:, :, 2], twin[:, :, 0])
     # the uncontrolled flow is that of seed 0, whatever the calls
-    free = [baseline.free_run(FlowBatch(ops, noisy.baseline.start, 1), steps)["c_l"]]
+    free = [spinup.free_run(FlowBatch(ops, noisy.baseline.start, 1), steps)["c_l"][:, 0]]
     batch = FlowBatch(ops, noisy.baseline.start, 1)
-    free.append(np.concatenate([baseline.free_run(batch, some)["c_l"] for some in (1, 11)]))
+    free.append(np.concatenate([spinup.free_run(batch, some)["c_l"][:, 0] for some in (1, 11)]))
     np.testing.assert_array_equal(*free)
     zero = np.concatenate([np.zeros((steps, 2, 1)), Disturbances(ops, [0]).series(steps)], axis=1)
     c_l = FlowBatch(ops, noisy.baseline.start, 1).advance(zero)[:, ops.functionals.index("c_l.cylinder"), 0]
