@@ -4,6 +4,7 @@ Every sign pattern of the inputs is tried, at several phases. At a smaller step 
 departs most from the mean flow, which is where the time stepping wants damping (docs/numerics.md, eq. 15).
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -28,8 +29,8 @@ PATTERNS = 8
 """Most sign patterns that are tried; of more inputs than have so few, a choice of them."""
 RISE = 0.045
 """Time within which a smooth wave makes up all but 1 / e of a jump, in L / U."""
-MEASURED, TRIED, HELD = 15.0, 40.0, 20.0
-"""How long the fluctuation is measured, how long the waves are tried, and how long they then stay, in L / U."""
+MEASURED, TRIED, STAYING = 20.0, 40.0, 12.0
+"""How long waves last to measure the fluctuation, and to be tried, and how long they then stay, in L / U."""
 SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.2, 0.1)
 """Shares of the strengths that are tried, until no flow blows up."""
 WINDOW = 0.5
@@ -88,33 +89,46 @@ def patterns(case: Case) -> np.ndarray:
 
 
 class _Waves:
-    """Square waves of all patterns, phases and some periods: a flow each."""
+    """Square waves of all patterns, phases and some periods, a flow each, for a time `waving`; then they stay.
 
-    def __init__(self, case: Case, shedding: float | None, periods: tuple[float, ...], share: float):
+    share: of the strengths. waving: in L / U.
+    """
+
+    def __init__(self, case: Case, shedding: float | None, periods: tuple[float, ...], share: float, waving: float):
         unit = (shedding or SHEDDING * case.convective_time) * np.array(periods)
         signs = patterns(case) * np.array([share * actuator.strongest for actuator in case.actuators])
         every = list(product(signs, unit, np.arange(PHASES) / PHASES))
         self.flows, self.amplitude = len(every), np.array([signs for signs, _, _ in every]).T
         self.period, self.phase = (np.array([part[k] for part in every], dtype=float) for k in (1, 2))
+        self.waving, self.whole = waving * case.convective_time, (waving + STAYING) * case.convective_time
 
-    def series(self, t: np.ndarray) -> np.ndarray:
-        """Return the amplitudes (steps, actuators, flows) at times t (steps,)."""
-        up = (t[:, None] / self.period + self.phase + 1e-9) % 1.0 < 0.5
-        return self.amplitude * np.where(up, 1.0, -1.0)[:, None, :]
+    def series(self, time_step: float, steps: int, rise: float) -> Iterator[np.ndarray]:
+        """Yield the amplitudes (steps, actuators, flows), so many steps at a time.
+
+        rise: share of what is missing that they make up in a step.
+        """
+        now = np.zeros_like(self.amplitude)
+        for k in range(round(self.whole / time_step / steps)):
+            t = np.minimum(time_step * (np.arange(steps) + 1 + k * steps), self.waving)
+            up = (t[:, None] / self.period + self.phase + 1e-9) % 1.0 < 0.5
+            series = self.amplitude * np.where(up, 1.0, -1.0)[:, None, :]
+            for wanted in series:  # in place
+                now = wanted[:] = now + rise * (wanted - now)
+            yield series
 
 
 def fluctuation(
     case: Case, ops: Operators, starts: list[Start], mean: np.ndarray, shedding: float | None
 ) -> np.ndarray:
-    """Return the largest |u - mean| (n,) at each node under waves at full strength; not finite where a flow blew up.
+    """Return the largest |u - mean| (n,) at each node under smooth waves; not finite where a flow blew up.
 
     ops: at a smaller step than the case's, which the flow survives without damping where the case's step needs some.
     """
-    waves, largest, dt = _Waves(case, shedding, RESONANT, 1.0), np.zeros(len(mean)), ops.time_step
+    waves, largest = _Waves(case, shedding, RESONANT, 1.0, MEASURED), np.zeros(len(mean))
     batch = _batch(ops, starts, waves.flows)
-    every = max(round(0.1 * case.convective_time / dt), 1)
-    for k in range(round(MEASURED * case.convective_time / dt / every)):
-        batch.advance(batch.disturbed(waves.series(dt * (np.arange(every) + 1 + k * every))))
+    every = max(round(0.1 * case.convective_time / ops.time_step), 1)
+    for amplitudes in waves.series(ops.time_step, every, _share(case, ops.time_step)):
+        batch.advance(batch.disturbed(amplitudes))
         for column in range(batch.flows):
             np.maximum(largest, np.linalg.norm(batch.state(column).u - mean, axis=1), out=largest)
     return largest
@@ -129,7 +143,7 @@ def withstood(case: Case, ops: Operators, starts: list[Start], shedding: float |
             if share <= survived.get("held", 0.0):  # a smooth wave is survived where one that jumps is
                 survived[name] = share
                 break
-            found = _tried(case, ops, starts, _Waves(case, shedding, PERIODS, share), rise, report)
+            found = _tried(case, ops, starts, _Waves(case, shedding, PERIODS, share, TRIED), rise, report)
             if found:
                 survived[name] = share
                 seen.append(found)
@@ -143,25 +157,16 @@ def withstood(case: Case, ops: Operators, starts: list[Start], shedding: float |
 def _tried(
     case: Case, ops: Operators, starts: list[Start], waves: _Waves, rise: float, report: Progress
 ) -> dict[str, np.ndarray]:
-    """Return the readings (windows, flows) by name under waves, which stop at last; none where a flow blows up.
-
-    rise: share of what is missing that the amplitudes make up in a step.
-    """
-    batch, dt, found = _batch(ops, starts, waves.flows), ops.time_step, []
-    amplitude = np.zeros((ops.actuators, waves.flows))
-    steps = max(round(WINDOW * case.convective_time / dt), 1)
-    last = round(TRIED / WINDOW)
-    for k in range(last + round(HELD / WINDOW)):
-        t = dt * np.minimum(np.arange(steps) + 1 + k * steps, last * steps)
-        amplitudes = waves.series(t)
-        for wanted in amplitudes:  # in place
-            amplitude = wanted[:] = amplitude + rise * (wanted - amplitude)
-        amplitudes = batch.disturbed(amplitudes)
+    """Return the readings (windows, flows) by name under waves; none where a flow blows up."""
+    batch, found = _batch(ops, starts, waves.flows), []
+    steps = max(round(WINDOW * case.convective_time / ops.time_step), 1)
+    for k, series in enumerate(waves.series(ops.time_step, steps, rise)):
+        amplitudes = batch.disturbed(series)
         read = batch.advance(amplitudes)
         if readings.blown(ops, read).any():
             return {}
         found.append(readings.means(readings.named(ops, read, amplitudes)))
-        report("stability", (k + 1) * WINDOW / (TRIED + HELD))
+        report("stability", min((k + 1) * WINDOW / (TRIED + STAYING), 1.0))
     return {name: np.stack([part[name] for part in found]) for name in found[0]}
 
 
