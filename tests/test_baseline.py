@@ -14,6 +14,7 @@ from manywake.suite import load
 from manywake.suite.cylinder_jets import CASE
 
 cases = pytest.mark.parametrize("name", load.names())
+streets = pytest.mark.parametrize("name", [name for name in load.names() if load.load(name).case.bodies])
 
 
 def kept(name="cylinder-jets"):
@@ -40,27 +41,25 @@ def test_shipped_baselines_match_their_hash_and_their_case(name):
         assert loaded.digest() == json.loads(str(data["description"]))["digest"]
     assert loaded.flow_digest == flow_digest(chosen)
     assert loaded.mean.shape == loaded.start.u.shape
-    sides, body = {"bottom", "top", "left", "right"}, {"cylinder", "cylinder.top", "cylinder.bottom"}
-    assert set(loaded.mesh.boundaries) == sides | body
-    assert set(loaded.mesh.curves) == body
+    sides = {side.name for side in chosen.domain.sides()}
+    pieces = {piece.name for body in chosen.bodies for piece in body.pieces()}
+    assert set(loaded.mesh.boundaries) == sides | pieces
+    assert set(loaded.mesh.curves) == pieces
 
 
 def test_every_baseline_that_is_shipped_is_of_a_shipped_case():
     assert store.shipped() == sorted(kept(name)[1] for name in load.names())
 
 
-def test_shipped_cases_share_one_mesh():
-    one, other = (baseline.load(path, chosen).mesh for chosen, path in map(kept, load.names()))
-    assert one.digest() == other.digest()
-
-
-@cases
+@streets
 def test_start_state_continues_the_karman_street(name):
     chosen, _ = kept(name)
     flow = store.flow(chosen)
     ops, base = flow.operators, flow.baseline
-    period = int(round(base.statistics.period / chosen.time_step))
-    c_d, c_l = FlowBatch(ops, base.start, 1).advance(np.zeros((period, 2, 1)))[:, :2, 0].T
+    assert base.statistics.kind == "periodic"
+    period = int(round(base.statistics.period / chosen.dt))
+    record = spinup.free_run(FlowBatch(ops, base.start, 1), period)
+    c_d, c_l = record["c_d"][:, 0], record["c_l"][:, 0]
     assert c_d.mean() == pytest.approx(base.statistics["c_d"].mean, rel=1e-3)
     assert c_d.max() == pytest.approx(base.statistics["c_d"].high, rel=1e-3)
     assert c_l.max() == pytest.approx(base.statistics["c_l"].high, rel=1e-2)
@@ -72,11 +71,10 @@ def test_start_state_continues_the_karman_street(name):
     assert base.free["c_l"] == base.free["c_l.cylinder"] == base.statistics["c_l"].mean
 
 
-@cases
+@streets
 def test_steady_flow_has_less_drag_than_shedding(name):
     chosen, path = kept(name)
     base = baseline.load(path, chosen)
-    assert base.steady["c_d"] == pytest.approx(2.942, rel=5e-3)
     assert base.steady["c_d"] < base.statistics["c_d"].low
 
 
@@ -85,7 +83,8 @@ def test_a_saved_baseline_is_the_same_when_loaded(base, tmp_path):
     baseline.save(base, path)
     copy = baseline.load(path, CASE)
     assert copy.digest() == base.digest()
-    assert (copy.shedding, copy.free, copy.steady) == (base.shedding, base.free, base.steady)
+    assert (copy.statistics, copy.free, copy.steady) == (base.statistics, base.free, base.steady)
+    assert copy.withstood.plain() == base.withstood.plain()
     assert [file.name for file in path.parent.iterdir()] == ["copy.npz"]
 
 
@@ -94,7 +93,7 @@ SENSORS = (Pressure("mine", ((0.3, 0.0),)),)
 
 def nudged(array):
     array = array.copy()
-    array.flat[0] += 1e-12
+    array.flat[0] = np.nextafter(array.flat[0], np.inf)
     return array
 
 
@@ -105,7 +104,7 @@ def test_a_file_with_a_changed_number_is_refused(part, tmp_path):
         baseline.load(path, CASE)
 
 
-@pytest.mark.parametrize("name", ["cd_mean", "c_d"])
+@pytest.mark.parametrize("name", ["mean", "high"])
 def test_a_file_with_a_changed_uncontrolled_drag_is_refused(name, tmp_path):
     def cheaper(description):
         changed = str(description).replace(f'"{name}": 3.', f'"{name}": 4.')

@@ -24,7 +24,7 @@ class Scales:
 class Sizes:
     """Sizes of the triangles, in units of the case's length. The defaults resolve the wake of a cylinder at Re 100."""
 
-    body: float = 0.048
+    body: float = 0.052
     """Length of the facets of a body, in L; beside a part they are as long as the part's and grow to this."""
     part_facets: int = 5
     """Facets across a part of a body; two resolve a jet's flux to 0.22 % before scaling, one to 4 %."""
