@@ -70,7 +70,7 @@ class Steady(_Number):
 class Extremum:
     """The largest or smallest velocity of the steady flow on a line, in units of U: of is "u max", "v min" and so on.
 
-    The line runs from `start` to `end`. reynolds: of the flow.
+    The line runs through the fluid from `start` to `end`, which may be on walls. reynolds: of the flow.
     """
 
     name: str
@@ -148,7 +148,9 @@ class Forced:
     floor: float = 0.0
 
 
-Reference = Settled | Statistic | Steady | Extremum | Length | Response | Driven | Forced
+Number = Statistic | Steady | Extremum | Length | Response | Driven
+"""References that are one number each."""
+Reference = Number | Settled | Forced
 
 
 def wall(case: Case, length: Length) -> Side:

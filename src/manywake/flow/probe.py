@@ -13,7 +13,7 @@ from manywake.flow.space import Space
 SAMPLES = 1000
 """Points of a line at which a field is looked at before its extremum or its zeros are narrowed down."""
 ASIDE = 1e-7
-"""Points of a side are taken this share of its length within the fluid, where rounding cannot lose them."""
+"""Points of a side, and ends of a line, are taken this share of its length within, where rounding cannot lose them."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,16 @@ class Field:
 
 
 def extremum(field: Field, start: Point, end: Point, component: int, sign: float) -> float:
-    """Return the largest (sign 1) or smallest (sign -1) value of a component of the velocity on a line."""
+    """Return the largest (sign 1) or smallest (sign -1) value of a component of the velocity on a line.
+
+    The line lies in the fluid; its ends may be on walls.
+    """
     a, b = np.array(start, dtype=float), np.array(end, dtype=float)
 
     def value(share):
         return -sign * field.velocity(a + np.atleast_1d(share)[:, None] * (b - a))[:, component]
 
-    shares = np.linspace(0.0, 1.0, SAMPLES + 1)
+    shares = np.linspace(ASIDE, 1.0 - ASIDE, SAMPLES + 1)
     sampled = value(shares)
     k = int(sampled.argmin())
     around = shares[max(k - 1, 0)], shares[min(k + 1, SAMPLES)]

@@ -12,7 +12,7 @@ from manywake.case.references import (
     Driven,
     Extremum,
     Length,
-    Reference,
+    Number,
     Response,
     Settled,
     Statistic,
@@ -155,7 +155,7 @@ class Runs:
         return readings.joined(record), batch.state(0)
 
 
-def checks(runs: Runs, reference: Reference) -> list[Check]:
+def checks(runs: Runs, reference: Number | Settled) -> list[Check]:
     """Return the checks of one reference, but for `Forced`."""
     if isinstance(reference, Settled):
         return settled(runs, reference)
@@ -165,8 +165,8 @@ def checks(runs: Runs, reference: Reference) -> list[Check]:
     return [agrees(reference.name, ours, reference.value, reference.tolerance, reference.source)]
 
 
-def number(runs: Runs, reference: Reference) -> float:
-    """Return our value of a reference that is one number."""
+def number(runs: Runs, reference: Number) -> float:
+    """Return our value of a reference."""
     case, speed = runs.case, runs.case.scales.velocity
     match reference:
         case Statistic():
@@ -181,9 +181,10 @@ def number(runs: Runs, reference: Reference) -> float:
             return probe.extremum(field, *along) / speed
         case Length():
             field = Field(runs.posed.space, runs.steady(reference.reynolds).u)
-            found = probe.changes(field, references.wall(case, reference), reference.start, reference.end)
-            there = -len(found) <= reference.change < len(found)
-            return float(found[reference.change]) / case.scales.length if there else np.nan
+            side = references.wall(case, reference)
+            lengths = probe.changes(field, side, reference.start, reference.end) / case.scales.length
+            there = -len(lengths) <= reference.change < len(lengths)
+            return float(lengths[reference.change]) if there else np.nan
         case Response():
             return _response(runs, reference)
         case Driven():
@@ -193,7 +194,6 @@ def number(runs: Runs, reference: Reference) -> float:
                 return float(front - back) / speed**2
             reading, kind = reference.of.split()
             return moment(record[reading], kind)
-    raise TypeError(f"reference: got {reference!r}, wanted one that is one number")
 
 
 def statistic(found: Statistics, of: str, convective_time: float) -> float:
@@ -209,8 +209,9 @@ def statistic(found: Statistics, of: str, convective_time: float) -> float:
 
 def moment(series: np.ndarray, kind: str) -> float:
     """Return the mean, max, min, rms or amplitude of a series."""
-    of = {"mean": np.mean, "max": np.max, "min": np.min, "rms": lambda x: np.sqrt(np.mean(x**2))}
-    return float(0.5 * np.ptp(series) if kind == "amplitude" else of[kind](series))
+    if kind == "amplitude":
+        return float(0.5 * np.ptp(series))
+    return float(np.sqrt(np.mean(series**2)) if kind == "rms" else getattr(series, kind)())
 
 
 def _response(runs: Runs, reference: Response) -> float:

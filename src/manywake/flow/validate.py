@@ -46,7 +46,7 @@ def run(
     for number in references:
         if not isinstance(number, Forced):
             checks += reference.checks(runs, number)
-    checks += [*fluxes(flow, runs.posed), *forces(flow)]
+    checks += [viscosity(flow), *fluxes(flow, runs.posed), *forces(flow)]
     for number in references:
         if isinstance(number, Forced) and mixing is not None and kept is not None:
             checks += controlled(flow, number, mixing, kept, report, recompute)
@@ -54,8 +54,18 @@ def run(
     return checks + orders(flow.case.scheme)
 
 
+def viscosity(flow: Flow) -> Check:
+    """The viscosity that the time loop's friction has, against that of the Reynolds number."""
+    ops, scales = flow.operators, flow.case.scales
+    tested = ops.velocity_order[: len(ops.tables.linear.start) - 1]
+    friction = abs(ops.tables.linear.value[:, 0].astype(float)).sum()
+    found = float(friction / abs(ops.space.stiffness[tested]).sum())
+    wanted = scales.velocity * scales.length / flow.case.reynolds
+    return Check("viscosity of the time loop", found, wanted, 1e-5, "relative", "U L / Re")
+
+
 def fluxes(flow: Flow, posed: Problem) -> list[Check]:
-    """Fluxes of the discrete inputs, as the time loop imposes them, through all walls that they act on."""
+    """Fluxes of the discrete inputs, as the time loop imposes them: of each through its wall, of a pair through all."""
     tables, space = flow.operators.tables, posed.space
     blowing = [(k, actuator) for k, actuator in enumerate(flow.case.inputs) if actuator.flux is not None]
     if not blowing:
@@ -66,7 +76,7 @@ def fluxes(flow: Flow, posed: Problem) -> list[Check]:
     profiles[:, flow.operators.velocity_order[tables.input_rows]] = tables.input_profile
     checks = []
     for k, actuator in blowing:
-        flux, _ = problem.boundary_flux(space, facets, profiles[k])
+        flux, _ = problem.boundary_flux(space, space.facets(actuator.on), profiles[k])
         name = f"flux of {actuator.on} at amplitude 1"
         checks.append(Check(name, flux, actuator.flux or 0.0, 1e-12, "absolute", "exact"))
     if len(blowing) > 1:

@@ -63,7 +63,7 @@ class Definition:
         return self.protocols["default"][0] if "default" in self.protocols else None
 
     def protocol(self, name: str) -> tuple[Task, Learning]:
-        if name == "default" and self.task is None:
+        if not self.protocols or name == "default" and self.task is None:
             raise ValueError(
                 f"task: got none in {self.file}, wanted TASK = Task(...) to train, evaluate or play with; "
                 "validate and baseline do without"
@@ -149,7 +149,8 @@ def choose(case: str | Path | Case, task: Task | str | None = None, **overrides:
     if task is None or isinstance(task, str):
         return override(load(case), task or "default", overrides)
     definition = load(case, task)
-    protocols = {**definition.protocols, "default": (task, definition.protocol("default")[1])}
+    learning = definition.protocol("default")[1] if definition.task is not None else Learning()
+    protocols = {**definition.protocols, "default": (task, learning)}
     return override(replace(definition, protocols=protocols), "default", overrides)
 
 
