@@ -81,7 +81,7 @@ def _share(case: Case, dt: float) -> float:
 def patterns(case: Case) -> np.ndarray:
     """Return the signs (patterns, actuators) that are tried, the first one positive, without net flux if need be."""
     count = len(case.actuators)
-    signs = np.array(list(product([1.0, -1.0], repeat=count))).reshape(-1, count)[: max(2 ** (count - 1), 1)]
+    signs = np.array(list(product([1.0, -1.0], repeat=count)))[: max(2 ** (count - 1), 1)]
     if not case.outlet:
         flux = np.array([(actuator.flux or 0.0) * actuator.strongest for actuator in case.actuators])
         signs = signs[abs(signs @ flux) <= 1e-12 * abs(flux).max(initial=0.0)]
@@ -136,6 +136,8 @@ def fluctuation(
 
 def withstood(case: Case, ops: Operators, starts: list[Start], shedding: float | None, report: Progress) -> Withstood:
     """Return the largest share of the strengths under which no flow blows up, and the readings of the forced flows."""
+    if not case.actuators:
+        return Withstood(1.0, 1.0, (), np.zeros((0, 0), np.float32))
     survived: dict[str, float] = {}
     seen: list[dict[str, np.ndarray]] = []
     for name, rise in (("held", 1.0), ("smooth", _share(case, ops.time_step))):
