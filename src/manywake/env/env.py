@@ -187,7 +187,9 @@ def _single(info: dict[str, Any]) -> dict[str, Any]:
 
 def register() -> None:
     """Tell Gymnasium of `manywake/Flow-v0`, any case, and of an id for each shipped flow."""
-    ids: dict[str, dict[str, Any]] = {"Flow": {}, "CylinderJets": {"case": "cylinder-jets"}}
+    shipped = ("cylinder-jets", "free-cylinder-jets", "free-cylinder-rotation")
+    ids: dict[str, dict[str, Any]] = {"Flow": {}}
+    ids |= {name.title().replace("-", ""): {"case": name} for name in shipped}
     for name, settings in ids.items():
         single, vector = f"{__name__}:FlowEnv", f"{__name__}:FlowVectorEnv"
         gymnasium.register(f"manywake/{name}-v0", single, vector_entry_point=vector, kwargs=settings)
