@@ -83,7 +83,7 @@ def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None)
     report("mesh", 0.0)
     posed = problem.pose(case, meshes.build(case) if mesh is None else mesh)
     report("steady flow", 0.0)
-    base = steady.solve(case, posed)
+    base = steady.solve(case, posed, report)
     ops = assemble(case, posed, base.u)
     flow, advecting = FlowBatch(ops, kicked(case, ops), 1), None
     recent = min(_RECENT, 2 / 3 * case.spin_up)  # before that it is the kick that dies down
