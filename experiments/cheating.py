@@ -64,7 +64,7 @@ def _averaged(run: Run, controlled: bool, periods: float) -> tuple[np.ndarray, d
     """Return the mean speed at the vertices after one episode's transient, and the means of the forces and the jet."""
     simulation = trainings.opened(run)
     flow, task, settle = simulation.flow, simulation.task, simulation.horizon
-    actions = round(periods * flow.baseline.shedding.period / task.interval)
+    actions = round(periods * flow.baseline.statistics.period / task.interval)
     speeds: list[np.ndarray] = []
 
     def look(flows: ControlledFlows) -> None:

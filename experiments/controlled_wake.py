@@ -73,10 +73,11 @@ def finer(coarse: Flow) -> Flow:
     ops, base = coarse.operators, coarse.baseline
     case = replace(coarse.case, time_step=coarse.case.dt / 2)
     posed = problem.pose(case, mesh.refine(base.mesh))
-    mean = forced.moved(ops.space, posed.space.x) @ base.mean
-    fine = baseline.assemble(case, posed, mean)
-    start = forced.interpolate(ops.space, base.start, fine)
-    return Flow(case, fine, replace(base, mesh=posed.space.mesh, start=start, mean=mean))
+    onto = forced.moved(ops.space, posed.space.x)
+    mean, fluctuation = (onto @ part for part in base.advecting)
+    fine = baseline.assemble(case, posed, mean, fluctuation)
+    starts = (forced.interpolate(ops.space, base.start, fine),)
+    return Flow(case, fine, replace(base, mesh=posed.space.mesh, starts=starts, mean=mean, fluctuation=fluctuation))
 
 
 def _numbers(flow: Flow, mine: dict[str, np.ndarray]) -> dict[str, float]:

@@ -71,14 +71,14 @@ def tiny_mesh(chosen: Case = TINY, layers: int = 4) -> Mesh:
     return Mesh(points, np.array(triangles), boundaries, meshes.curves(chosen, list(boundaries)))
 
 
-def in_singles(chosen: Case, mesh: Mesh, mean: np.ndarray | None = None) -> Operators:
-    """Return the operators of a case on a mesh."""
-    return baseline.assemble(chosen, problem.pose(chosen, mesh), mean)
+def in_singles(chosen: Case, mesh: Mesh, *advecting: np.ndarray) -> Operators:
+    """Return the operators of a case on a mesh. advecting: mean flow and fluctuation, if need be."""
+    return baseline.assemble(chosen, problem.pose(chosen, mesh), *(advecting or (None,)))
 
 
-def in_doubles(chosen: Case, mesh: Mesh, mean: np.ndarray | None = None) -> Operators:
+def in_doubles(chosen: Case, mesh: Mesh, *advecting: np.ndarray) -> Operators:
     """Return operators whose increments and residuals are doubles too, for comparison."""
-    return baseline.assemble(chosen, problem.pose(chosen, mesh), mean, precision=np.float64)
+    return baseline.assemble(chosen, problem.pose(chosen, mesh), *(advecting or (None,)), precision=np.float64)
 
 
 @pytest.fixture(scope="session")

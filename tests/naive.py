@@ -41,17 +41,16 @@ def advection(space, mean):
     return skfem.BilinearForm(lambda u, v, w: (w.a * u.grad[0] + w.b * u.grad[1]) * v).assemble(basis, a=a, b=b)
 
 
-def damping(case, space):
-    """Return the stiffness for the viscosity of eq. 15: jets on the case's first body, a circle about the origin."""
+def damping(case, space, fluctuation):
+    """Return the stiffness for the viscosity of eq. 15, quadrature point by quadrature point."""
     basis = skfem.Basis(space.velocity.mesh, skfem.ElementTriP2(), intorder=5)
-    viscosity = np.zeros(basis.dx.shape)
-    x, y = np.asarray(basis.global_coordinates())
-    (body,) = case.bodies
-    for start, end in body.parts.values():
-        angle, width = np.radians(0.5 * (start + end)), np.radians(end - start) * body.radius
-        peak = np.pi * 0.01 / (2 * width)
-        squared = (x - body.radius * np.cos(angle)) ** 2 + (y - body.radius * np.sin(angle)) ** 2
-        viscosity += case.scheme.damping * case.time_step * peak**2 * np.exp(-squared / (2 * width) ** 2)
+    viscosity, V = np.zeros(basis.dx.shape), np.asarray(basis.interpolate(fluctuation))
+    for e, weights in enumerate(basis.dx):
+        size = (2 * sum(weights)) ** 0.5
+        for q in range(len(weights)):
+            crossed = V[e, q] * case.time_step / size
+            share = min(max((crossed - 0.15) / (0.25 - 0.15), 0.0), 1.0)
+            viscosity[e, q] = case.scheme.damping * case.time_step * V[e, q] ** 2 * share**2 * (3 - 2 * share)
     form = skfem.BilinearForm(lambda u, v, w: w.nu * (u.grad[0] * v.grad[0] + u.grad[1] * v.grad[1]))
     return form.assemble(basis, nu=viscosity)
 
@@ -89,6 +88,18 @@ def solve(matrix, y):
     rows, y = len(matrix), y.copy()
     for b in range(y.shape[-1]):
         y[:rows, :, b] = np.linalg.solve(matrix, y[:rows, :, b])
+    return y
+
+
+def solve_held(matrix, last, held, e, y):
+    """Return y as `solve`, but with the component `held` of the `last` rows given: minus that of e."""
+    rows, y = len(matrix), y.copy()
+    for b in range(y.shape[-1]):
+        for c in range(2):
+            inner = rows - last if c == held else rows
+            y[inner:rows, c, b] = -e[inner:rows, c, b]
+            right = y[:inner, c, b] - matrix[:inner, inner:] @ y[inner:rows, c, b]
+            y[:inner, c, b] = np.linalg.solve(matrix[:inner, :inner], right)
     return y
 
 
@@ -171,12 +182,30 @@ def functionals(case, space, profiles):
     }
 
 
-def step(case, space, start, jets, profiles, boundaries, mean):
+def load(force, space):
+    """Return (f, psi_i) for every node's function, (n, 2), for a force f inside the fluid; quadrature of degree 8."""
+    basis = skfem.Basis(space.velocity.mesh, skfem.ElementTriP2(), intorder=8)
+    squared = sum((x - at) ** 2 for x, at in zip(np.asarray(basis.global_coordinates()), force.at, strict=True))
+    bell = np.exp(-squared / force.radius**2)
+    tested = skfem.LinearForm(lambda v, w: w.bell * v).assemble(basis, bell=bell)
+    return np.stack([component * tested for component in force.along], axis=1)
+
+
+def push(rows, loads, amplitudes, out):
+    """Return out with forces added to rows of those numbers. loads: (inputs, rows, 2). amplitudes: (inputs, lanes)."""
+    out = out.copy()
+    for r, i in enumerate(rows):
+        for q, pushed in zip(amplitudes, loads[:, r], strict=True):
+            out[i] += pushed[:, None] * q
+    return out
+
+
+def step(case, space, start, jets, profiles, boundaries, mean, fluctuation, forces=()):
     """Advance one flow by one step in scikit-fem's order; return u, p, phi and what is read, by name.
 
     jets: (2,) flow rates. profiles: (2, n, 2) velocity of the jets at unit flow rate. boundaries: dict with the
-    velocity nodes `fixed`, the inlet data `steady` (n, 2) and the pressure nodes `pressure`. mean: (n, 2), zero where
-    the scheme has none.
+    velocity nodes `fixed` and `slip`, the inlet data `steady` (n, 2) and the pressure nodes `pressure`. mean: (n, 2),
+    zero where the scheme has none. fluctuation: (n,). forces: (force inside the fluid, amplitude) each.
     """
     scheme, dt, nu = case.scheme, case.time_step, case.viscosity
     M, K = space.mass, space.stiffness
@@ -186,16 +215,18 @@ def step(case, space, start, jets, profiles, boundaries, mean):
     w = blend(scheme.history, start.u, start.u_old)
     e = blend((1 + scheme.ahead, -scheme.ahead), start.u, start.u_old)
     p_star = start.p + scheme.pressure[0] * start.phi + scheme.pressure[1] * start.phi_old
-    S = damping(case, space)
+    S = damping(case, space, fluctuation)
     C = convection_form(space, e, mean) - S @ e
     A = a / dt * M + theta * nu * K + advection(space, mean) + S
 
+    loads = {force.on: load(force, space) for force, _ in forces}
+    pushed = sum((q * loads[force.on] for force, q in forces), np.zeros_like(e))
     u = boundaries["steady"] + np.einsum("j,jnc->nc", jets, profiles)
-    fixed = boundaries["fixed"]
-    free = np.setdiff1d(np.arange(n), fixed)
     for c in range(2):
+        fixed = np.union1d(boundaries["fixed"], boundaries["slip"]) if c == 1 else boundaries["fixed"]
+        free = np.setdiff1d(np.arange(n), fixed)
         right = M @ w[:, c] / dt - (1 - theta) * nu * (K @ w[:, c]) - C[:, c] + space.divergence[c].T @ p_star
-        right = right - A[:, fixed] @ u[fixed, c]
+        right = right + pushed[:, c] - A[:, fixed] @ u[fixed, c]
         u[free, c] = np.linalg.solve(A[free][:, free].toarray(), right[free])
 
     phi = np.zeros(m)
@@ -207,12 +238,14 @@ def step(case, space, start, jets, profiles, boundaries, mean):
     residual = np.empty((n, 2))
     for c in range(2):
         residual[:, c] = A @ u[:, c] - M @ w[:, c] / dt + (1 - theta) * nu * (K @ w[:, c]) + C[:, c]
-        residual[:, c] -= space.divergence[c].T @ p
+        residual[:, c] -= space.divergence[c].T @ p + pushed[:, c]
     blown = np.einsum("j,jnc->nc", jets, profiles)
     read = {}
     for name, (pieces, tested, scale, counts) in functionals(case, space, profiles).items():
         value = -(tested * residual).sum() + nu * wall(space, pieces, tested, u)
         read[name] = scale * (value + momentum(space, pieces, tested, blown) * counts)
+    for name, on in loads.items():
+        read[f"work.{name}"] = 2.0 / (case.scales.velocity**3 * case.scales.length) * (on * u).sum()
     return u, p, phi, read
 
 
@@ -251,12 +284,16 @@ def cost(below, first, end):
     return len(rows) * (1.4 + 0.65 * (end - first)) + 10 + 4 * (end - first), rows
 
 
-def cheapest_cut(below, first=0):
-    """Return the least cost of cutting the columns from `first` on into panels of up to four: all cuts are tried."""
-    if first == len(below):
+def cheapest_cut(below, first=0, last=0):
+    """Return the least cost of cutting the columns from `first` on into panels of up to four: all cuts are tried.
+
+    last: so many columns at the end are in no panel with others.
+    """
+    n = len(below)
+    if first == n:
         return 0.0
-    ends = range(first + 1, min(first + 4, len(below)) + 1)
-    return min(cost(below, first, end)[0] + cheapest_cut(below, end) for end in ends)
+    ends = range(first + 1, min(first + 4, n - last if first < n - last else n) + 1)
+    return min(cost(below, first, end)[0] + cheapest_cut(below, end, last) for end in ends)
 
 
 def random_matrix(rng, rows, columns, density=0.3):

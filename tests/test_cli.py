@@ -141,3 +141,14 @@ def test_the_help_has_the_options_of_the_case_that_the_words_name():
     done = manywake("baseline", "--help")
     text = " ".join(done.stdout.split())
     assert "--reynolds" in text and "--reward" not in text and "--law" not in text  # they change nothing of the flow
+
+
+def test_a_case_without_a_task_has_a_baseline_and_cannot_be_trained(tmp_path):
+    path = tmp_path / "flow.py"
+    path.write_text("from manywake.suite.cylinder_jets import CASE\n")
+    done = manywake("baseline", "--case", str(path), "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1])["kind"] == "periodic"
+    done = manywake("train", "--case", str(path))
+    assert done.returncode == 2
+    assert "task: got none" in done.stderr and "Traceback" not in done.stderr

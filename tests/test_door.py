@@ -11,6 +11,7 @@ from manywake.case import Exponential, Jet, Pressure, replace
 from manywake.suite import load
 from manywake.suite.cylinder_jets import CASE, TASK
 
+JETS = "cylinder.top", "cylinder.bottom"
 PARTS = {
     "scales": "length=0.1",
     "domain": "Box(x=(-0.2, 1.0), y=(-0.2, 0.21))",
@@ -60,6 +61,16 @@ def around(corners: str) -> dict[str, str]:
     return {"bodies": f'Polygon("wedge", {corners})', "actuators": 'Rotation("wedge", limit=1.0)', "mixing": "None"}
 
 
+def force(words: str) -> dict[str, str]:
+    """Return the parts of a file whose only actuator is a force."""
+    return {"actuators": f"BodyForce({words})", "mixing": "None"}
+
+
+def noise(words: str, **changes: str) -> str:
+    """Return a file with a disturbance."""
+    return file(case=f"disturbances=({words},)", **changes)
+
+
 def test_the_file_that_the_rows_change_is_let_in(tmp_path):
     path = tmp_path / "mine.py"
     path.write_text(file())
@@ -67,9 +78,17 @@ def test_the_file_that_the_rows_change_is_let_in(tmp_path):
     assert (chosen.definition.name, chosen.case.bodies[0].name, chosen.task.actions) == ("mine", "cylinder", 80)
     path.write_text(file(**around("((0.0, -0.05), (0.08, 0.0), (0.0, 0.05))")))
     assert load.choose(path).case.bodies[0].name == "wedge"
+    path.write_text(file(**force('"push", 500.0, at=(0.2, 0.0), radius=0.05')))
+    assert load.choose(path).case.actuators[0].on == "push"
+    # noise that its input cuts off may have any rms, and a disturbance needs no limit
+    path.write_text(noise('Noise(Gust("left"), rms=3.0, time=0.1), Noise(Jet("top", 0.01), rms=9.0, time=0.1)'))
+    assert [given.on for given in load.choose(path).case.inputs] == [*JETS, "left", "top"]
     # a jet's net flux needs an open end, a pair's does not, nor does a stream that goes out as it comes in
     path.write_text(file(conditions='NoSlip("bottom", "top"), Stream("left", "right")'))
     assert not load.choose(path).case.outlet
+    # and a slip side lets nothing through, so it counts for none of the flux
+    path.write_text(file(conditions='FreeSlip("bottom", "top"), Stream("left", "right")'))
+    assert load.choose(path).case.conditions[0].on == ("bottom", "top")
 
 
 FILES = {
@@ -103,6 +122,22 @@ FILES = {
     "a parabola around a body": (
         file(conditions='NoSlip("bottom", "top"), Parabola("left", "cylinder"), Outflow("right")'),
         "conditions: got Parabola on the body 'cylinder', wanted NoSlip, which it has unasked",
+    ),
+    "free slip around a body": (
+        file(conditions='NoSlip("bottom", "top"), FreeSlip("cylinder"), Parabola("left"), Outflow("right")'),
+        "conditions: got FreeSlip on the body 'cylinder', wanted NoSlip, which it has unasked",
+    ),
+    "free slip on sides of two directions": (
+        file(conditions='FreeSlip("bottom", "left"), Stream("top"), Outflow("right")'),
+        "conditions: got FreeSlip on 'bottom', along x, and on 'left', along y, wanted all slip sides in one "
+        "direction, as one factor serves both components of the velocity",
+    ),
+    "free slip on a slanted side": (
+        file(
+            domain='Outline((("bottom", -0.2, -0.2), ("right", 1, -0.2), ("top", 1, 0.3), ("left", -0.2, 0.2)))',
+            conditions='FreeSlip("bottom", "top"), Stream("left"), Outflow("right")',
+        ),
+        "conditions: got FreeSlip on 'top', which runs from (1, 0.3) to (-0.2, 0.2), wanted a side along x or along y",
     ),
     "a setting that a condition has not": (
         file(conditions='NoSlip("bottom", "top"), Parabola("left", peak=1.5), Outflow("right")'),
@@ -195,6 +230,10 @@ FILES = {
         file(actuators='Jet("right", limit=0.01)'),
         "Jet: 'right' is an open end, wanted a wall, where the velocity is given",
     ),
+    "an actuator on a slip side": (
+        file(conditions='FreeSlip("bottom", "top"), Parabola("left"), Outflow("right")', actuators='Jet("top", 0.01)'),
+        "Jet: 'top' slips, wanted a wall, where the velocity is given",
+    ),
     "two actuators on one piece": (
         file(actuators='Jet("cylinder.top", limit=0.01), Jet("cylinder.top", limit=0.02)'),
         "actuators: got 2 on 'cylinder.top', wanted at most one",
@@ -214,6 +253,102 @@ FILES = {
     "a rotation past all measure": (
         file(actuators='Rotation("cylinder", limit=201.0)'),
         "Rotation: got the limit 201, wanted at most 200, at which 'cylinder' moves the fluid 10 times as fast",
+    ),
+    "a limit that is not given": (
+        file(actuators='Jet("cylinder.top")', mixing="None"),
+        "Jet: got the limit inf, wanted a positive number",
+    ),
+    "a gust on a body": (
+        file(actuators='Gust("cylinder", 0.1)', mixing="None"),
+        "Gust: got 'cylinder', wanted a side of the domain, as bottom, right, top, left",
+    ),
+    "a gust at an open end": (
+        file(actuators='Gust("right", 0.1)', mixing="None"),
+        "Gust: 'right' is an open end, wanted a wall, where the velocity is given",
+    ),
+    "a gust that is named twice": (
+        file(actuators='Gust("left", 0.1, Stream("left"))', mixing="None"),
+        "Gust: got the profile Stream(on=('left',), x=1.0, y=0.0), wanted a given velocity without names",
+    ),
+    "a gust that is open": (
+        file(actuators='Gust("left", 0.1, Outflow())', mixing="None"),
+        "wanted a given velocity without names, as Stream(x=0.0, y=1.0)",
+    ),
+    "a gust of nothing": (
+        file(actuators='Gust("left", 0.1, NoSlip())', mixing="None"),
+        "Gust: 'left' moves nothing at amplitude 1, wanted what does",
+    ),
+    "a gust past all measure": (
+        file(actuators='Gust("left", 7.0, Parabola(mean=1.0))', mixing="None"),
+        "Gust: got the limit 7, wanted at most 6.66667, at which 'left' moves the fluid 10 times as fast",
+    ),
+    "a gust with a net flux without an open end": (
+        file(
+            actuators='Gust("left", 0.1)', conditions='NoSlip("bottom", "top"), Stream("left", "right")', mixing="None"
+        ),
+        "Gust: got a net flux of 0.41 through 'left' at amplitude 1, wanted none, as no boundary has an Outflow",
+    ),
+    "a force named as a piece": (
+        file(**force('"top", 0.1, at=(0.2, 0.0), radius=0.05')),
+        "BodyForce: got the name 'top', which a piece has, wanted one of its own",
+    ),
+    "a force named as a part": (
+        file(**force('"cylinder.left", 0.1, at=(0.2, 0.0), radius=0.05')),
+        "BodyForce: got the name 'cylinder.left', wanted one without a dot",
+    ),
+    "a force whose name is no word": (
+        file(**force('"push it", 0.1, at=(0.2, 0.0), radius=0.05')),
+        "name: got 'push it', wanted letters, digits and single _, as options are named after it",
+    ),
+    "a force inside a body": (
+        file(**force('"push", 0.1, at=(0.01, 0.0), radius=0.05')),
+        "BodyForce: 'push' is at (0.01, 0), which is inside 'cylinder'; wanted a point in the fluid",
+    ),
+    "a force outside of the domain": (
+        file(**force('"push", 0.1, at=(0.1, 0.5), radius=0.05')),
+        "BodyForce: 'push' is at (0.1, 0.5), which is outside the domain; wanted a point in the fluid",
+    ),
+    "a force of no extent": (
+        file(**force('"push", 0.1, at=(0.2, 0.0), radius=0.0')),
+        "BodyForce: got the radius 0, wanted a positive number",
+    ),
+    "a force of no direction": (
+        file(**force('"push", 0.1, at=(0.2, 0.0), radius=0.05, along=(0.0, 0.0)')),
+        "BodyForce: 'push' moves nothing at amplitude 1, wanted what does",
+    ),
+    "a force past all measure": (
+        file(**force('"push", 600.0, at=(0.2, 0.0), radius=0.05')),
+        "BodyForce: got the limit 600, wanted at most 564.19, at which 'push' moves the fluid 10 times as fast",
+    ),
+    # ---- disturbances
+    "a disturbance without noise": (
+        noise('BodyForce("push", 1.0, at=(0.2, 0.0), radius=0.05)'),
+        "disturbances: got BodyForce(on='push', limit=1.0, at=(0.2, 0.0), radius=0.05, along=(1.0, 0.0)), wanted Noise",
+    ),
+    "a disturbance on an actuator": (
+        noise('Noise(Jet("cylinder.top"), rms=0.001, time=0.1)'),
+        "actuators: got 2 on 'cylinder.top', wanted at most one, disturbances counted",
+    ),
+    "a disturbance of what there is not": (
+        noise('Noise(Gust("inlet"), rms=0.1, time=0.1)'),
+        "Gust: got the piece 'inlet', which there is not; wanted one of cylinder.top, cylinder",
+    ),
+    "noise of no size": (
+        noise('Noise(Gust("left"), rms=0.0, time=0.1)'),
+        "Noise: got the rms 0 on 'left', wanted a positive number",
+    ),
+    "noise of no time": (
+        noise('Noise(Gust("left"), rms=0.1, time=float("nan"))'),
+        "Noise: got the time nan on 'left', wanted a positive number",
+    ),
+    "noise past all measure": (
+        noise('Noise(Gust("left"), rms=4.0, time=0.1)'),
+        "Noise: got the rms 4, wanted at most 3.33333, at which 'left' moves the fluid 10 times as fast as the case's "
+        "velocity, as 3 times the rms is common",
+    ),
+    "noise with a net flux without an open end": (
+        noise('Noise(Jet("top"), rms=0.1, time=0.1)', conditions='NoSlip("bottom", "top"), Stream("left", "right")'),
+        "Noise: got a net flux through 'top', wanted none, as no boundary has an Outflow to let it out",
     ),
     "no actuator": (
         file(below="CASE = replace(CASE, actuators=())"),
@@ -294,7 +429,7 @@ FILES = {
         "reward: got 1.0, wanted a function reward(now, free)",
     ),
     "a charge that is no number": (
-        file(task='charge=lambda reward, free, left: "all"'),
+        file(task='charge=lambda reward, forced, free: "all"'),
         "charge: <lambda> returned 'all', wanted a finite number",
     ),
     "a law that is none": (

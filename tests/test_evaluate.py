@@ -30,10 +30,10 @@ def still(flow, start, actions) -> Trajectory:
 def test_no_control_has_no_drag_reduction_and_the_known_lift(shipped):
     base = shipped.baseline
     result = still(shipped, base.start, 28)
-    steps = int(round(2 * base.shedding.period / CASE.dt))
+    steps = int(round(2 * base.statistics.period / CASE.dt))
     control = evaluate.control(base, LIMITS, evaluate.window(result, 0, steps), 0)
     assert control.drag_reduction == pytest.approx(0.0, abs=2e-4)
-    assert control.cl_rms == pytest.approx(base.shedding.cl_rms, rel=2e-3)
+    assert control.cl_rms == pytest.approx(base.statistics["c_l"].rms, rel=2e-3)
     assert control.amplitude_rms == 0.0
     assert control.power == 0.0
 
@@ -67,5 +67,5 @@ def test_phases_are_an_eighth_of_a_period_apart(shipped):
     whole = still(shipped, base.start, 14).series["c_l"][:, 0]
     starts = baseline.phases(shipped.operators, base, 8)
     late = still(shipped, starts[2], 1).series["c_l"][:, 0]
-    shift = int(round(2 * base.shedding.period / CASE.dt / 8))
+    shift = int(round(2 * base.statistics.period / CASE.dt / 8))
     np.testing.assert_array_equal(late, whole[shift : shift + len(late)])

@@ -308,7 +308,7 @@ def test_sb3_gets_of_the_batch_what_it_gets_of_single_environments():
     np.testing.assert_array_equal(ours.reset(), twin.reset())
     for flows in (ours.flows._flows, twin.envs[0]._batch._flows):  # one flow blows up, the other goes on
         start = flows.batch.state(0)
-        flows.reset([0], dataclasses.replace(start, u=np.full_like(start.u, np.nan)))
+        flows.reset([0], [0], dataclasses.replace(start, u=np.full_like(start.u, np.nan)))
     rng, ends = np.random.default_rng(0), []
     for _ in range(8):
         action = rng.uniform(-1, 1, (2, 1)).astype(np.float32)

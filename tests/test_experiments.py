@@ -12,9 +12,10 @@ import pytest
 from experiments import controlled_wake, experiment, learning_curves, overparallel, synced, trainings
 from experiments.__main__ import BY_PROTOCOL, FIGURES, Figure, train_all
 from manywake.cli import main
-from manywake.flow import baseline
+from manywake.flow import spinup
 from manywake.flow.baseline import Baseline
-from manywake.flow.statistics import Shedding
+from manywake.flow.stability import Withstood
+from manywake.flow.statistics import Statistics
 from manywake.flow.store import Flow
 from manywake.learn import blocks, flows, tables, train
 from manywake.learn.engine import Threads
@@ -173,9 +174,10 @@ def test_every_training_can_be_asked_for_by_either_protocol(setup):
 
 
 def test_the_finer_mesh_has_four_times_the_triangles_and_the_same_flow(tiny):
-    start = baseline.kicked(TINY, tiny)
-    zero = Shedding(*[0.0] * 8, 0)
-    base = Baseline("", "", tiny_mesh(), start, np.zeros((len(start.u), 2)), zero, {}, {}, "")
+    start = spinup.kicked(TINY, tiny, 0.3)
+    none, zero = Statistics("steady", None, 0.0, {}), np.zeros((len(start.u), 2))
+    withstood = Withstood(1.0, 1.0, (), np.zeros((0, 0)))
+    base = Baseline("", "", tiny_mesh(), (start,), zero, zero[:, 0], none, {}, withstood, "")
     fine = controlled_wake.finer(Flow(TINY, tiny, base))
     assert len(fine.baseline.mesh.triangles) == 4 * len(tiny_mesh().triangles)
     assert len(fine.operators.mesh.triangles) == 4 * len(tiny_mesh().triangles)

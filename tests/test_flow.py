@@ -6,7 +6,21 @@ import re
 import numpy as np
 import pytest
 
-from manywake.case import BDF2, BDF2_MEAN, GODA, Box, Circle, Jet, Pressure
+from manywake.case import (
+    BDF2,
+    BDF2_MEAN,
+    GODA,
+    BodyForce,
+    Box,
+    Circle,
+    FreeSlip,
+    Jet,
+    Noise,
+    NoSlip,
+    Outflow,
+    Parabola,
+    Pressure,
+)
 from manywake.case.describe import flow_digest
 from manywake.flow import exact, problem, readings, statistics
 from manywake.flow import mesh as meshes
@@ -147,21 +161,31 @@ def test_the_rest_of_a_batch_is_carried_by_as_few_lanes_as_will_do():
 # ---- the step is the one of docs/numerics.md
 
 
+PUSH = BodyForce("push", 10.0, at=(0.06, 0.02), radius=0.03, along=(0.6, -0.8))
+"""A force that reaches to the body and past its curved triangles."""
+
+
+@pytest.mark.parametrize("forces", [(), (PUSH,)], ids=["jets", "force"])
 @pytest.mark.parametrize("assemble", [in_doubles, in_singles], ids=["doubles", "singles"])
 @pytest.mark.parametrize("scheme", [BDF2, BDF2_MEAN, GODA], ids=lambda scheme: scheme.name)
-def test_a_step_is_its_slow_twin(scheme, assemble):
-    chosen = dataclasses.replace(TINY, scheme=scheme)
+@pytest.mark.parametrize("walls", [NoSlip, FreeSlip], ids=lambda walls: walls.__name__)
+def test_a_step_is_its_slow_twin(walls, scheme, assemble, forces):
+    conditions = walls("bottom", "top"), Parabola("left"), Outflow("right")
+    chosen = dataclasses.replace(TINY, scheme=scheme, conditions=conditions, actuators=(*TINY.actuators, *forces))
     mesh = tiny_mesh(chosen)
     space = spaces.build(mesh)
     mean = 0.7 * np.random.default_rng(1).normal(size=space.x.shape) * scheme.mean
-    ours = assemble(chosen, mesh, mean)
-    profiles, _, _ = problem.profiles_of(chosen, space)
+    fluctuation = 60.0 * np.random.default_rng(2).random(len(space.x))  # in triangles as large as these
+    ours = assemble(chosen, mesh, mean, fluctuation)
+    profiles, _ = problem.profiles_of(chosen, space)
     inlet, outlet = space.boundary_nodes(["left"]), space.boundary_vertices("right")
     steady = np.zeros_like(space.x)
     (low, high), y = chosen.domain.y, space.x[inlet, 1]
     steady[inlet, 0] = 6.0 * (y - low) * (high - y) / (high - low) ** 2
+    sides = ["bottom", "top"]
     boundaries = {
-        "fixed": space.boundary_nodes([*BODY, "left", "bottom", "top"]),
+        "fixed": space.boundary_nodes([*BODY, "left", *(sides if walls is NoSlip else [])]),
+        "slip": space.boundary_nodes(sides if walls is FreeSlip else []),
         "steady": steady,
         "pressure": outlet,
     }
@@ -174,9 +198,10 @@ def test_a_step_is_its_slow_twin(scheme, assemble):
     # measured 7e-13 and 2.2e-5 at the third step of a field as rough as this, in which each step magnifies the errors
     # of the last; at the first 7e-14 and 7e-7, which is 6 eps of singles
     bound = 1e-11 if ours.precision == np.float64 else 1e-4
-    for q in ((0.01, -0.01), (-0.004, 0.007), (0.0, 0.0)):
-        u, p, phi, read = naive.step(chosen, space, start, q, profiles, boundaries, mean)
-        got = flow.advance(np.array(q)[None, :, None])[0, :, 0]
+    for q, push in (((0.01, -0.01), 7.0), ((-0.004, 0.007), -9.0), ((0.0, 0.0), 0.0)):
+        pushed = [(force, push) for force in forces]
+        u, p, phi, read = naive.step(chosen, space, start, q, profiles[:2], boundaries, mean, fluctuation, pushed)
+        got = flow.advance(np.array([*q, *(push for _ in forces)])[None, :, None])[0, :, 0]
         start = Start(u, start.u, p, phi, start.phi)
         state = flow.state(0)
         for twin, name in ((u, "u"), (p, "p"), (phi, "phi")):
@@ -195,7 +220,7 @@ def test_single_precision_of_increments_does_not_show_in_the_forces(shipped, ops
     q[0] *= 0.2
     for k in range(1, len(q)):  # smoothed as by the exponential law of case.laws
         q[k] = q[k - 1] + 0.2 * (q[k] - q[k - 1])
-    flows = [FlowBatch(o, base.start, 4) for o in (ops, in_doubles(shipped.case, base.mesh, base.mean))]
+    flows = [FlowBatch(o, base.start, 4) for o in (ops, in_doubles(shipped.case, base.mesh, *base.advecting))]
     singles, doubles = (flow.advance(np.stack([q, -q], axis=1))[:, :2] for flow in flows)
     difference = abs(singles - doubles)
     assert difference.max() < 1e-5  # measured 2.8e-6
@@ -297,7 +322,7 @@ def test_gradient_form_gives_the_whole_force_but_for_the_divergence(shipped, ops
     np.testing.assert_allclose(transposed, divergence, rtol=1e-10)
     transposed, _ = second_viscous_part(ops, base.start.u)
     missing = 2 * shipped.case.viscosity * transposed / shipped.case.scales.length
-    assert abs(missing).max() < 4e-3 * base.shedding.cd_mean
+    assert abs(missing).max() < 4e-3 * base.statistics["c_d"].mean
 
 
 def test_what_flows_in_flows_out(ops, base):
@@ -326,7 +351,7 @@ def test_a_jet_blows_its_flow_rate_exactly(ops, posed):
 
 
 def test_flux_error_before_scaling_is_below_half_a_percent(shipped, ops, posed):
-    _, error, _ = problem.profiles_of(shipped.case, ops.space)
+    _, error = problem.profiles_of(shipped.case, ops.space)
     assert (abs(error) < 5e-3).all()
     assert (posed.flux_error == error).all()
 
@@ -384,7 +409,7 @@ def test_drag_points_downstream_and_jets_bend_the_lift(ops, base):
     # suction draws it onto the lower side, where it runs faster and its pressure is lower: the body is drawn down, as
     # the reaction to the wake that is bent up.
     q = 0.004 * np.array([0.0, 1.0, -1.0])
-    period = int(round(base.shedding.period / ops.time_step))
+    period = int(round(base.statistics.period / ops.time_step))
     flow = FlowBatch(ops, base.start, 3)
     rates = np.broadcast_to(np.stack([q, -q]), (period, 2, 3))
     flow.advance(rates)
@@ -456,19 +481,45 @@ def test_shedding_finds_mean_peaks_and_period_of_a_known_signal():
     t = np.arange(4000) * 5e-4
     c_l = -0.02 + np.sin(2 * np.pi * t / 0.331)
     c_d = 3.2 + 0.03 * np.sin(4 * np.pi * t / 0.331 + 0.3)
-    found = statistics.shedding(c_d, c_l, 5e-4)
+    record = {"c_d": c_d[:, None], "c_l": c_l[:, None]}
+    assert statistics.kind({"c_d": c_d, "c_l": c_l}, "c_l") == "periodic"
+    found = statistics.uncontrolled(record, "c_l", 5e-4, "periodic")
     assert found.period == pytest.approx(0.331, rel=1e-5)
-    assert found.strouhal(0.1) == pytest.approx(0.1 / 0.331, rel=1e-5)
-    assert found.cd_mean == pytest.approx(3.2, abs=1e-4)
-    assert (found.cd_max, found.cd_min) == pytest.approx((3.23, 3.17), abs=1e-4)
-    assert found.cl_mean == pytest.approx(-0.02, abs=2e-3)
-    assert found.cl_rms == pytest.approx(np.sqrt(0.5 + 0.02**2), abs=2e-3)
+    assert found["c_d"].mean == pytest.approx(3.2, abs=1e-4)
+    assert (found["c_d"].high, found["c_d"].low) == pytest.approx((3.23, 3.17), abs=1e-4)
+    assert found["c_l"].mean == pytest.approx(-0.02, abs=2e-3)
+    assert found["c_l"].rms == pytest.approx(np.sqrt(0.5 + 0.02**2), abs=2e-3)
+    assert found["c_d"].error < 1e-3
 
 
 def test_shedding_of_a_short_signal_is_refused():
     t = np.arange(400) * 5e-4
-    with pytest.raises(ValueError, match="got 0 whole periods, wanted at least 2"):
-        statistics.shedding(np.ones(400), np.sin(2 * np.pi * t / 0.331), 5e-4)
+    with pytest.raises(ValueError, match="got 0 crossings of the lift, wanted at least 3"):
+        statistics.uncontrolled({"c_l": np.sin(2 * np.pi * t / 0.331)[:, None]}, "c_l", 5e-4, "periodic")
+
+
+def test_a_flow_is_steady_periodic_or_neither():
+    t = np.arange(4000) * 5e-4
+    wave = np.sin(2 * np.pi * t / 0.331)
+    kinds = {
+        "steady": 0.5 + 1e-5 * wave,
+        "periodic": wave + 0.2 * wave**3,
+        "aperiodic": wave * (1 + 0.3 * np.sin(7.3 * t)),
+    }
+    assert [statistics.kind({"c_l": signal}, "c_l") for signal in kinds.values()] == list(kinds)
+    # a street that still dies down, one whose lift drifts, one that beats
+    for other in (wave * np.exp(-0.05 * t), wave + 0.1 * t, wave + 0.1 * np.sin(2 * np.pi * t / 0.1)):
+        assert statistics.kind({"c_l": other}, "c_l") == "aperiodic"
+
+
+def test_the_interval_of_an_aperiodic_mean_covers_the_truth_as_often_as_it_says():
+    rng, covered = np.random.default_rng(0), 0
+    for _ in range(200):
+        noise = rng.normal(size=(4200, 4))
+        series = np.stack([np.convolve(noise[:, b], np.ones(20), "valid") for b in range(4)], axis=1)
+        found = statistics.uncontrolled({"c_l": 1.0 + series}, "c_l", 1.0, "aperiodic")["c_l"]
+        covered += abs(found.mean - 1.0) < found.error
+    assert 180 <= covered <= 199  # 95 %
 
 
 # ---- the door
@@ -525,5 +576,16 @@ def test_flow_digest_ignores_sensors_and_limits_only():
     same = dataclasses.replace(one, **points((0.1, 0.0)), actuators=weaker)
     assert flow_digest(same) == flow_digest(one)
     moved = Circle("cylinder", (0.0, 0.0), RADIUS, parts={"top": (75, 85), "bottom": (265, 275)})
-    for other in ({"reynolds": 90.0}, {"scheme": GODA}, {"bodies": (moved,)}, {"time_step": 4e-4}):
-        assert flow_digest(dataclasses.replace(one, **other)) != flow_digest(one)
+    known = {flow_digest(one)}
+    noise = Noise(BodyForce("upstream", at=(-0.1, 0.0), radius=0.02), rms=1.0, time=0.05)
+    for other in (
+        {"reynolds": 90.0},
+        {"scheme": GODA},
+        {"bodies": (moved,)},
+        {"time_step": 4e-4},
+        {"disturbances": (noise,)},
+        {"disturbances": (dataclasses.replace(noise, rms=2.0),)},
+        {"disturbances": (dataclasses.replace(noise, by=dataclasses.replace(noise.by, limit=2.0)),)},
+    ):
+        known.add(flow_digest(dataclasses.replace(one, **other)))
+    assert len(known) == 8

@@ -258,3 +258,39 @@ def test_a_user_s_file_with_lambdas_and_classes_plays_in_processes_that_have_not
             np.testing.assert_array_equal(episode.rewards, saved)
             assert episode.readings["amplitude_rms"].all()  # the file's own law drives the jets
     np.testing.assert_array_equal(rewards["there"], rewards["here"])
+
+
+# ---- cases without a task
+
+FLOW = """from manywake.suite.cylinder_jets import CASE
+from manywake.case import Statistic
+
+REFERENCES = (Statistic("drag", {of!r}, 3.2, None, "mine"),)
+"""
+
+
+def written(tmp_path, of="c_d mean"):
+    path = tmp_path / "flow.py"
+    path.write_text(FLOW.format(of=of))
+    return path
+
+
+def test_a_case_may_have_no_task(tmp_path):
+    definition = load.load(written(tmp_path))
+    assert definition.task is None and definition.protocols == {} and definition.rewards == {}
+    assert load.load("cylinder-jets").task is TASK
+    assert load.override_case(definition, {"reynolds": 80.0}) == replace(CASE, reynolds=80.0)
+    with pytest.raises(ValueError, match="got the setting 'interval', wanted one of"):
+        load.override_case(definition, {"interval": 0.05})
+
+
+def test_what_plays_wants_a_task_and_says_where(tmp_path):
+    path = written(tmp_path)
+    with pytest.raises(ValueError, match=r"task: got none in .*flow\.py, wanted TASK = Task\(\.\.\.\)"):
+        load.choose(path)
+    assert load.choose(path, TASK).task == TASK
+
+
+def test_a_reference_that_fits_no_case_is_refused_when_the_file_is_loaded(tmp_path):
+    with pytest.raises(ValueError, match="reference 'drag': got 'c_x mean', wanted one of c_d mean"):
+        load.load(written(tmp_path, "c_x mean"))

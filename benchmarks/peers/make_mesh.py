@@ -15,7 +15,7 @@ import numpy as np
 import shared
 
 from manywake.case import Case
-from manywake.flow import baseline, problem, statistics, store
+from manywake.flow import baseline, problem, readings, spinup, statistics, store
 from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.mesh import Mesh
 from manywake.suite import cylinder_jets, cylinder_jets_goda
@@ -104,9 +104,9 @@ def start(case: Case, of: Mesh) -> tuple[np.ndarray, np.ndarray]:
     u[ops.velocity_order[ops.free :]] = ops.tables.fixed
     flow = FlowBatch(ops, Start(u, u, p, 0 * p, 0 * p), 1)
     steps = round(TIME / case.dt)
-    record = [baseline.free_run(flow, 1000) for _ in range(steps // 1000)]
-    c_d, c_l = (np.concatenate([part[name] for part in record])[-steps // 2 :] for name in ("c_d", "c_l"))
-    print(statistics.shedding(c_d, c_l, case.dt), file=sys.stderr)
+    record = readings.joined([spinup.free_run(flow, 1000) for _ in range(steps // 1000)])
+    late = {name: series[-steps // 2 :] for name, series in record.items()}
+    print(statistics.uncontrolled(late, spinup.clock(case), case.dt, "periodic"), file=sys.stderr)
     state = flow.state(0)
     place = shared.match(ops.space.x, shared.nodes(of.points, of.triangles))
     return state.u[place], state.p

@@ -15,7 +15,7 @@ from scipy.sparse.linalg import spsolve
 
 from manywake.case.case import Case
 from manywake.case.geometry import outline
-from manywake.flow import baseline
+from manywake.flow import spinup
 from manywake.flow.baseline import Baseline
 from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.space import Space
@@ -77,11 +77,9 @@ def wake(flow: Flow, end: Start, series: dict[str, np.ndarray], amplitudes: np.n
     end: the controlled flow at the end of the run. series: its readings (steps,). amplitudes: (steps, inputs).
     """
     case, base, space = flow.case, flow.baseline, flow.operators.space
-    count = int(np.ceil(base.shedding.period / case.dt)) + 1
-    period = baseline.free_run(FlowBatch(flow.operators, base.start, 1), count)
+    uncontrolled = spinup.free_run(FlowBatch(flow.operators, base.start, 1), len(amplitudes))
     time = (np.arange(len(amplitudes)) + 1) * case.dt
-    phase = np.mod(time, base.shedding.period) / case.dt - 1
-    free = {name: np.interp(phase, np.arange(count), period[name]) for name in ("c_d", "c_l")}
+    free = {name: uncontrolled[name][:, 0] for name in ("c_d", "c_l")}
     time = time / case.convective_time
     figure = plt.figure(figsize=(11, 6.6))
     grid = figure.add_gridspec(3, 2, height_ratios=(1.05, 1, 1), hspace=0.55, wspace=0.18)

@@ -6,23 +6,24 @@
 from dataclasses import replace
 
 from manywake.case.case import Case, Scales, Sizes
-from manywake.case.conditions import NoSlip, Outflow, Parabola, Stream
+from manywake.case.conditions import FreeSlip, NoSlip, Outflow, Parabola, Stream
 from manywake.case.geometry import Box, Circle, Outline, Polygon, Smooth, grid, ring
-from manywake.case.inputs import Jet, Rotation
+from manywake.case.inputs import BodyForce, Gust, Jet, Noise, Rotation
 from manywake.case.laws import Exponential, Held, Linear
 from manywake.case.learning import Learning
-from manywake.case.references import Forced, Settled, Statistic, Steady
+from manywake.case.references import Driven, Extremum, Forced, Length, Response, Settled, Statistic, Steady
 from manywake.case.schemes import BDF2, BDF2_MEAN, GODA
 from manywake.case.sensors import Pressure, Velocity
-from manywake.case.task import PAIR, Task, alike, balanced, pairs, twice_the_drag
+from manywake.case.task import PAIR, Task, alike, balanced, pairs, twice_the_worst
 
 __all__ = [
     "Case", "Scales", "Sizes", "replace",
-    "NoSlip", "Outflow", "Parabola", "Stream",
+    "FreeSlip", "NoSlip", "Outflow", "Parabola", "Stream",
     "Box", "Circle", "Outline", "Polygon", "Smooth", "grid", "ring",
-    "Jet", "Rotation", "Pressure", "Velocity",
+    "Jet", "Rotation", "Gust", "BodyForce", "Noise",
+    "Pressure", "Velocity",
     "BDF2", "BDF2_MEAN", "GODA",
-    "Task", "PAIR", "alike", "balanced", "pairs", "twice_the_drag",
+    "Task", "PAIR", "alike", "balanced", "pairs", "twice_the_worst",
     "Exponential", "Held", "Linear", "Learning",
-    "Forced", "Settled", "Statistic", "Steady",
+    "Driven", "Extremum", "Forced", "Length", "Response", "Settled", "Statistic", "Steady",
 ]  # fmt: skip

@@ -1,11 +1,11 @@
-"""A case: one flow as data. Geometry, conditions, actuators, sensors, scales, sizes and scheme."""
+"""A case: one flow as data. Geometry, conditions, inputs, sensors, scales, sizes and scheme."""
 
 from dataclasses import dataclass
 
 from manywake.case import checks
 from manywake.case.conditions import Condition, Outflow
 from manywake.case.geometry import Body, Domain
-from manywake.case.inputs import Input
+from manywake.case.inputs import Input, Noise
 from manywake.case.schemes import BDF2_MEAN, Scheme
 from manywake.case.sensors import Sensor
 
@@ -24,21 +24,21 @@ class Scales:
 class Sizes:
     """Sizes of the triangles, in units of the case's length. The defaults resolve the wake of a cylinder at Re 100."""
 
-    body: float = 0.048
-    """Length of the facets of a body, in L."""
-    part_facets: int = 2
+    body: float = 0.052
+    """Length of the facets of a body, in L; beside a part they are as long as the part's and grow to this."""
+    part_facets: int = 5
     """Facets across a part of a body; two resolve a jet's flux to 0.22 % before scaling, one to 4 %."""
-    layers: int = 3
+    layers: int = 4
     """Layers of quadrilaterals, cut into triangles, that lie around a body like the rings of an onion."""
-    layer_height: float = 0.034
+    layer_height: float = 0.0235
     """Height of the innermost layer, in L."""
     layer_growth: float = 1.25
     """Height of a layer by that of the one within."""
-    wake: float = 0.155
+    wake: float = 0.16
     """Length of the sides behind the bodies, in L."""
     wake_axis: float | None = None
     """Height y of the wake's axis, in the case's unit of length; the bodies' middle when not given."""
-    far: float = 0.8
+    far: float = 1.0
     """Length of the sides far from the bodies, in L."""
 
 
@@ -55,6 +55,7 @@ class Case:
     conditions: tuple[Condition, ...]
     bodies: tuple[Body, ...] = ()
     actuators: tuple[Input, ...] = ()
+    disturbances: tuple[Noise, ...] = ()
     sensors: tuple[Sensor, ...] = ()
     scales: Scales = Scales()
     sizes: Sizes = Sizes()
@@ -66,9 +67,14 @@ class Case:
     """Time from a kicked rest to the developed flow, in convective units L / U."""
 
     def __post_init__(self) -> None:
-        for name in ("conditions", "bodies", "actuators", "sensors"):
+        for name in ("conditions", "bodies", "actuators", "disturbances", "sensors"):
             object.__setattr__(self, name, tuple(getattr(self, name)))  # lists come from keyword arguments
         checks.check(self)
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """All that drives the flow: what the agent does, then what chance does."""
+        return (*self.actuators, *(noise.by for noise in self.disturbances))
 
     @property
     def viscosity(self) -> float:
@@ -94,10 +100,10 @@ class Case:
 
 
 def readings(case: Case) -> tuple[str, ...]:
-    """Return the names of all readings: c_d, c_l, c_m in total and of each body, and the power of the inputs.
+    """Return the names of all readings: c_d, c_l, c_m in total and of each body, and the power.
 
     C = 2F / (rho U^2 L), force on the body, drag along x, lift along y; moment about the body's centre, over L too,
-    counter-clockwise positive. C_P = 2P / (rho U^3 L).
+    counter-clockwise positive. C_P = 2P / (rho U^3 L), of the actuators.
     """
     kinds = ("c_d", "c_l", "c_m") if case.bodies else ()
     each = tuple(f"{kind}.{body.name}" for body in case.bodies for kind in kinds)

@@ -1,6 +1,7 @@
 """What holds on the sides of the domain; bodies are no-slip. Where two sides meet the later condition wins.
 
-All but `Outflow` have velocity(side, x): the velocity (k, 2) at points (k, 2) of a side.
+A given velocity comes before `FreeSlip`, and that before `Outflow`, whatever their order. All that give one have
+velocity(side, x): the velocity (k, 2) at points (k, 2) of a side.
 """
 
 from dataclasses import dataclass, fields
@@ -54,8 +55,17 @@ class Parabola(_Named):
         return profile[:, None] * side.chart(x).outward
 
 
+class FreeSlip(_Named):
+    """Nothing flows through and nothing rubs: a line of symmetry, or a wall far away. For sides along x or along y.
+
+    At its ends it takes the velocity that is given on the next side, but for the component through the slip side.
+    """
+
+
 class Outflow(_Named):
     """An open end: p = 0 and no viscous traction."""
 
 
-Condition = NoSlip | Stream | Parabola | Outflow
+Free = FreeSlip | Outflow
+"""Where the velocity is found and not given."""
+Condition = NoSlip | Stream | Parabola | Free

@@ -24,6 +24,8 @@ def plain(value: Any) -> Any:
         return [plain(part) for part in value]
     if isinstance(value, np.ndarray | np.generic):
         return plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)  # which JSON has no number for
     if callable(value):
         angles = np.linspace(0.0, 2 * np.pi, 37)[:-1]
         return [[_digits(number) for number in point] for point in np.asarray(value(angles)).tolist()]
@@ -40,7 +42,7 @@ def task(chosen: Case, task: Task) -> dict[str, Any]:
     free = {name: 3.0 - 0.5 * k for k, name in enumerate(readings(chosen))}
     samples = [{name: math.sin(1.0 + k * (j + 2)) for j, name in enumerate(free)} for k in range(5)]
     rewards = [_value(task.reward, now, free) for now in samples]
-    charges = [_value(task.charge, task.reward, free, left) for left in (1, 7)]
+    charges = [_value(task.charge, task.reward, samples[:count], free) for count in (1, 5)]
     reward, charge = {"name": _name(task.reward), "values": rewards}, {"name": _name(task.charge), "values": charges}
     return plain(vars(task) | {"reward": reward, "charge": charge})
 
@@ -51,11 +53,12 @@ def digest(data: Any) -> str:
 
 
 def flow_digest(chosen: Case) -> str:
-    """Return a hash of all that decides the uncontrolled flow: the case but for sensors and limits."""
+    """Return a hash of all that decides the baseline: the case but for sensors and limits below the strengths."""
     data = case(chosen)
     del data["sensors"]
-    for actuator in data["actuators"]:
-        del actuator["limit"]
+    for actuator, said in zip(chosen.actuators, data["actuators"], strict=True):
+        said["strength"] = actuator.strongest
+        del said["limit"]
     return digest(data | {"time_step": chosen.dt})
 
 

@@ -40,7 +40,7 @@ def _try_reward(case: Case, task: Task) -> None:
         raise ValueError(f"reward: got {task.reward!r}, wanted a function reward(now, free)")
     free = dict.fromkeys(readings(case), 1.0)
     now = {reading: 0.1 * (k + 1) for k, reading in enumerate(free)}
-    tried = {"reward": lambda: task.reward(now, free), "charge": lambda: task.charge(task.reward, free, 1)}
+    tried = {"reward": lambda: task.reward(now, free), "charge": lambda: task.charge(task.reward, [now], free)}
     for what, call in tried.items():
         name = getattr(getattr(task, what), "__name__", what)
         try:

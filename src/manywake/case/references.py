@@ -1,9 +1,25 @@
-"""References: numbers that are not ours, which `manywake validate` compares with. Tolerances are relative."""
+"""References: numbers that are not ours, which `manywake validate` compares with, as data.
 
-from collections.abc import Mapping
+Tolerances are relative; None reports a number without judging it. A number without a Reynolds number of its own is of
+the case as it is. Of several that need the same flow, that flow runs once.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from manywake.case.geometry import Point
+import numpy as np
+
+from manywake.case.case import Case, readings
+from manywake.case.geometry import Point, Side, distance
+
+KINDS = ("mean", "max", "min", "rms", "amplitude")
+"""What a reading can be asked for; its amplitude is half of max - min."""
+SHEDS = 0.05
+"""A flow sheds whose C_L has a larger amplitude than this..."""
+SHEDDING = 40.0
+"""...over the last of its run, in L / U."""
+STRAIGHT = 1e-9
+"""Points this near to a side, as a share of its length, are on it."""
 
 
 @dataclass(frozen=True)
@@ -26,16 +42,92 @@ class _Number:
     name: str
     of: str
     value: float
-    tolerance: float
+    tolerance: float | None
     source: str
 
 
+@dataclass(frozen=True)
 class Statistic(_Number):
-    """A number of the uncontrolled flow over whole periods: a reading's mean, max, min or rms, as "c_d max", or St."""
+    """A number of the uncontrolled flow, over whole periods if it has any: "St", or of a reading, as "c_d mean".
+
+    Readings have a mean, max, min, rms and amplitude, which is half of max - min. reynolds: of a flow that is spun up
+    for this number, without actuators, on the case's mesh. time_step: of it, in the case's unit, the case's when not
+    given.
+    """
+
+    reynolds: float | None = None
+    time_step: float | None = None
 
 
+@dataclass(frozen=True)
 class Steady(_Number):
-    """A reading of the steady flow at the case's Reynolds number, by Newton's method."""
+    """A reading of the steady flow, as "c_d", by Newton's method. reynolds: of that flow."""
+
+    reynolds: float | None = None
+
+
+@dataclass(frozen=True)
+class Extremum:
+    """The largest or smallest velocity of the steady flow on a line, in units of U: of is "u max", "v min" and so on.
+
+    The line runs through the fluid from `start` to `end`, which may be on walls. reynolds: of the flow.
+    """
+
+    name: str
+    of: str
+    start: Point
+    end: Point
+    value: float
+    tolerance: float | None
+    source: str
+    reynolds: float | None = None
+
+
+@dataclass(frozen=True)
+class Length:
+    """How far from `start`, in L, the steady flow separates or attaches again: where its wall shear changes sign.
+
+    `start` and `end` lie on one straight side of the domain. change: which of the changes between them, 0 the first one
+    from `start` on, -1 the last. reynolds: of the flow.
+    """
+
+    name: str
+    start: Point
+    end: Point
+    change: int
+    value: float
+    tolerance: float | None
+    source: str
+    reynolds: float | None = None
+
+
+@dataclass(frozen=True)
+class Response(_Number):
+    """A number of the flow from the start state with its actuators held: as of a `Statistic`, or "sheds", 1 or 0.
+
+    amplitudes: one for each actuator; they may exceed its limit. They rise smoothly within settle / 60. settle,
+    duration: the time, in L / U, that is not averaged, and of the whole run. "sheds": whether the amplitude of C_L over
+    the last 40 L / U exceeds 0.05. time_step: of the run, in the case's unit, the case's when not given.
+    """
+
+    amplitudes: tuple[float, ...]
+    settle: float
+    duration: float
+    time_step: float | None = None
+
+
+@dataclass(frozen=True)
+class Driven(_Number):
+    """A number of a flow that starts at rest: "c_d max" and so on, or "pressure drop" between two points at its end.
+
+    driving: the time, in the case's unit, -> an amplitude for each input. duration: in the case's unit of time. points:
+    where the pressure is taken, the first one less the second, in units of rho U^2. time_step: as of a `Response`.
+    """
+
+    driving: Callable[[float], Sequence[float]]
+    duration: float
+    points: tuple[Point, Point] | None = None
+    time_step: float | None = None
 
 
 @dataclass(frozen=True)
@@ -44,7 +136,8 @@ class Forced:
 
     steady: amplitudes of the first input that are held; the change of lift is that of its mean. harmonic: (amplitude,
     frequency, phases); the change of lift is that of its rms, drag and lift are means over flows whose forcing is 1 /
-    phases of a cycle apart. duration: of the runs from the start state, of which `settle` is not averaged.
+    phases of a cycle apart. floor: deviation that is tolerated of any change, however small that is. duration: of the
+    runs from the start state, of which `settle` is not averaged.
     """
 
     steady: tuple[float, ...]
@@ -52,6 +145,65 @@ class Forced:
     tolerance: float
     duration: float
     settle: float
+    floor: float = 0.0
 
 
-Reference = Settled | Statistic | Steady | Forced
+Number = Statistic | Steady | Extremum | Length | Response | Driven
+"""References that are one number each."""
+Reference = Number | Settled | Forced
+
+
+def wall(case: Case, length: Length) -> Side:
+    """Return the side of the domain that a length is measured on; ValueError when it is on none."""
+    ends = np.array([length.start, length.end], dtype=float)
+    for side in case.domain.sides():
+        corners = np.array([side.start, side.end], dtype=float)
+        if distance(corners, ends).max() <= STRAIGHT * np.linalg.norm(corners[1] - corners[0]):
+            return side
+    raise ValueError(
+        f"reference {length.name!r}: got a length from {length.start} to {length.end}, wanted two points on one side "
+        "of the domain"
+    )
+
+
+def check(case: Case, references: Sequence[Reference]) -> None:
+    """Raise ValueError where a reference asks for what a case does not have."""
+    for reference in references:
+        if isinstance(reference, Length):
+            wall(case, reference)
+        elif isinstance(reference, _Number | Extremum):
+            _one_of(reference, _words(case, reference))
+        if isinstance(reference, Response):
+            if len(reference.amplitudes) != len(case.actuators):
+                got, wanted = len(reference.amplitudes), len(case.actuators)
+                raise ValueError(f"reference {reference.name!r}: got {got} amplitudes, wanted {wanted}")
+            least = reference.settle + (SHEDDING if reference.of == "sheds" else 0.0)
+            if not 0 < reference.settle < reference.duration or reference.duration < least:
+                raise ValueError(
+                    f"reference {reference.name!r}: got the duration {reference.duration:g}, wanted more than "
+                    f"{least:g}, what settles and what is judged; settle: got {reference.settle:g}, wanted it positive"
+                )
+        if isinstance(reference, Driven) and (reference.of == "pressure drop") != (reference.points is not None):
+            raise ValueError(
+                f"reference {reference.name!r}: got points {reference.points} with {reference.of!r}, wanted two points "
+                "with 'pressure drop', and with that alone"
+            )
+
+
+def _words(case: Case, reference: _Number | Extremum) -> list[str]:
+    """Return what a reference can be of."""
+    if isinstance(reference, Extremum):
+        return [f"{component} {kind}" for component in "uv" for kind in ("max", "min")]
+    names = readings(case)
+    if isinstance(reference, Steady):
+        return [name for name in names if name != "power"]
+    numbers = [f"{name} {kind}" for name in names for kind in KINDS]
+    if isinstance(reference, Driven):
+        return [*numbers, "pressure drop"]
+    shedding = ["St"] * bool(case.bodies) + ["sheds"] * (isinstance(reference, Response) and bool(case.bodies))
+    return [*numbers, *shedding]
+
+
+def _one_of(reference: _Number | Extremum, words: list[str]) -> None:
+    if reference.of not in words:
+        raise ValueError(f"reference {reference.name!r}: got {reference.of!r}, wanted one of {', '.join(words)}")

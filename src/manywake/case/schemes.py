@@ -29,8 +29,8 @@ class Scheme:
     mean: bool = False
     """Whether advection by the mean flow is taken at t + dt too, so that only the fluctuation is explicit."""
     damping: float = 0.0
-    """Near the jets, a viscosity that acts on the error of the extrapolation alone: its size over dt V^2, with V the
-    peak velocity of a jet that blows U L / 10."""
+    """A viscosity that acts on the error of the extrapolation alone: its size over dt V^2, where V, the largest
+    departure from the mean flow under forcing, is too fast for the step."""
 
     @property
     def order(self) -> int:

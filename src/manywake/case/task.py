@@ -1,7 +1,7 @@
 """The control task on a flow: when to act, how actions become amplitudes, what is observed and what is rewarded."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +12,12 @@ Means = Mapping[str, float]
 """Readings by name, each a mean over one action."""
 Reward = Callable[[Means, Means], float]
 """reward(now, free): of an action's readings and those of the uncontrolled flow."""
-Charge = Callable[[Reward, Means, int], float]
-"""charge(reward, free, left): what a flow that blew up is given, with `left` actions to go, that one included."""
+Charge = Callable[[Reward, Sequence[Means], Means], float]
+"""charge(reward, forced, free): what a flow that blew up is given for that action and each that was to come.
+
+forced: readings of flows under the largest forcing, that of the case's stability run."""
 Mixing = tuple[tuple[float, ...], ...]
+STARTS = ("first", "any")
 
 PAIR: Mixing = ((1.0,), (-1.0,))
 """One action for two inputs: what the first blows in the second sucks out."""
@@ -35,10 +38,10 @@ def balanced(count: int) -> Mixing:
     return tuple(tuple((row == k) - 1.0 / count for k in range(count)) for row in range(count))
 
 
-def twice_the_drag(reward: Reward, free: Means, left: int) -> float:
-    """Charge as if the body had twice its uncontrolled drag, and nothing else, to the end of the episode."""
-    drag = {name: 2 * value if name.partition(".")[0] == "c_d" else 0.0 for name, value in free.items()}
-    return left * reward(drag, free)
+def twice_the_worst(reward: Reward, forced: Sequence[Means], free: Means) -> float:
+    """Charge twice what the worst of the forced flows loses against the uncontrolled flow: to stay is always better."""
+    nothing = reward(free, free)
+    return nothing - 2 * (nothing - min(nothing, *(reward(now, free) for now in forced)))
 
 
 @dataclass(frozen=True)
@@ -58,14 +61,18 @@ class Task:
     every input has an action of its own."""
     law: Law = Held()
     """How amplitudes follow what is wanted."""
-    charge: Charge = twice_the_drag
-    """What a flow that blew up is given, with which its episode ends."""
+    starts: str = "first"
+    """Where episodes begin: "first" at the start state, "any" at one of several far apart that the seed draws."""
+    charge: Charge = twice_the_worst
+    """What a flow that blew up is given for every action that was left, with which its episode ends."""
 
     def __post_init__(self) -> None:
         if self.actions < 2:
             raise ValueError(f"actions: got {self.actions}, wanted at least 2")
         if self.actions != int(self.actions):
             raise ValueError(f"actions: got {self.actions}, wanted a whole number")
+        if self.starts not in STARTS:
+            raise ValueError(f"starts: got {self.starts!r}, wanted one of {', '.join(STARTS)}")
         if not self.interval > 0:
             raise ValueError(f"interval: got {self.interval:g}, wanted a positive time")
         if isinstance(self.law, type) or not hasattr(self.law, "series"):

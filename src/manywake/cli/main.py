@@ -42,13 +42,14 @@ def _commands(words: list[str]) -> Any:
     """Return all commands; those that take a case with the settings of the one that the words name."""
     asked = first(words[1:] if words[:1] in (["train"], ["validate"], ["baseline"]) else [])
     definition = load.load(asked.case)
-    learning = definition.protocol(asked.protocol)[1]
-    commands = (
+    commands: tuple[Any, ...] = (
         command(Validate, definition, case=asked.case),
         command(Baseline, definition, case=asked.case),
-        command(Train, definition, **vars(asked), learning=learning),
         *(Resume, Evaluate, Replay, Figure, Bench),
     )
+    if asked.protocol in definition.protocols or words[:1] == ["train"]:  # a flow without a task has nothing to learn
+        learning = definition.protocol(asked.protocol)[1]
+        commands = (command(Train, definition, **vars(asked), learning=learning), *commands)
     return Union[commands]  # noqa: UP007
 
 

@@ -1,6 +1,6 @@
 """Flows under a task: actions become amplitudes, readings become rewards. One loop drives a batch."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,14 +10,12 @@ from manywake.case import sensors
 from manywake.case import task as tasks
 from manywake.case.case import Case
 from manywake.case.task import Task
-from manywake.flow import readings
+from manywake.flow import readings, stability
 from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.store import Flow
 
 OBSERVATION_LIMIT = 100.0
 """Bound of the observation space. The paper's uncontrolled pressures stay within 3, under full jets within 10."""
-NO_FLOW = 1e3
-"""A force coefficient past this is no flow any more: divergence shows in the forces first."""
 
 
 def spaces(case: Case, task: Task) -> tuple[Box, Box]:
@@ -34,7 +32,7 @@ class Outcome:
     """What one action brought.
 
     reward, diverged, truncated: (B,). means: every reading by name, averaged over the action, (B,), NaN for a flow that
-    blew up. series: every reading by name at every solver step, (steps, B). amplitudes: (steps, inputs, B).
+    blew up. series: every reading by name at every solver step, (steps, B). amplitudes: (steps, actuators, B).
     """
 
     reward: np.ndarray
@@ -46,26 +44,42 @@ class Outcome:
 
 
 class ControlledFlows:
-    """B flows under one task: acts on all of them at once, and keeps what each input does."""
+    """B flows under one task: acts on all of them at once, and keeps what each of the agent's inputs does.
+
+    An episode is a function of its seed and of the actions. It is seed b in column b until `reset` gives another.
+    """
 
     def __init__(self, flow: Flow, task: Task, flows: int):
+        stability.check(flow.case, flow.baseline.withstood, task.law)
         self.flow, self.task, self.count = flow, task, flows
         self.steps = task.steps(flow.case.dt)
         self.batch = FlowBatch(flow.operators, flow.baseline.start, flows)
         self.mixing = tasks.matrix(task, len(flow.case.actuators))
         self.limits = np.array([actuator.limit for actuator in flow.case.actuators])
         self.free = {name: float(value) for name, value in flow.baseline.free.items()}
+        self.charge = task.charge(task.reward, flow.baseline.withstood.readings(), self.free)
         self.amplitude, self.wanted = np.zeros((2, len(self.limits), flows))
         self.actions = np.zeros(flows, dtype=np.int64)
         self.means = {name: np.full(flows, value) for name, value in self.free.items()}
 
-    def reset(self, columns: list[int] | np.ndarray, start: Start | None = None) -> None:
-        """Put columns back to their start state (or to `start`), with amplitudes and action count 0."""
-        self.batch.reset(columns, start)
+    def reset(self, columns: Sequence[int] | np.ndarray, seeds: Sequence[int], start: Start | None = None) -> None:
+        """Begin an episode in each of some columns, with amplitudes and action count 0.
+
+        seeds: of the episodes, one for each column. start: where all begin, if not where their seeds say.
+        """
+        for column, seed in zip(columns, seeds, strict=True):
+            self.batch.reset([column], self._start(seed) if start is None else start, [seed])
         self.amplitude[:, columns] = self.wanted[:, columns] = 0.0
         self.actions[columns] = 0
         for name, value in self.free.items():
             self.means[name][columns] = value
+
+    def _start(self, seed: int) -> Start:
+        """Return the state that an episode of this seed begins from."""
+        starts = self.flow.baseline.starts
+        if self.task.starts == "first":
+            return starts[0]
+        return starts[int(np.random.SeedSequence(seed, spawn_key=(0,)).generate_state(1)[0]) % len(starts)]
 
     def observe(self) -> np.ndarray:
         """Return what the task observes, (B, values) float32, finite and within the observation space.
@@ -86,13 +100,11 @@ class ControlledFlows:
         mixed = sum(self.mixing[:, k, None] * clipped[None, :, k] for k in range(clipped.shape[1]))
         wanted = self.limits[:, None] * mixed
         amplitudes = self.task.law.series(self.steps, self.flow.case.dt, self.amplitude, self.wanted, wanted)
-        read = self.batch.advance(amplitudes)
+        read = self.batch.advance(self.batch.disturbed(amplitudes))
         self.amplitude, self.wanted = amplitudes[-1].copy(), wanted
         self.actions += 1
         series = readings.named(self.flow.operators, read, amplitudes)
-        forces = [part for name, part in series.items() if name.startswith(("c_d.", "c_l."))]
-        bounded = [(np.abs(part) < NO_FLOW).all(axis=0) for part in forces]
-        diverged = ~np.logical_and.reduce([*bounded, np.isfinite(read).all(axis=(0, 1))])
+        diverged = readings.blown(self.flow.operators, read)
         means = readings.means({name: np.where(diverged, np.nan, part) for name, part in series.items()})
         self.means = {name: part.copy() for name, part in means.items()}
         truncated = (self.actions >= self.task.actions) & ~diverged
@@ -103,7 +115,7 @@ class ControlledFlows:
         """Return one flow's reward: of its readings as plain numbers, or, where it blew up, what its task charges."""
         if diverged:
             left = int(self.task.actions - self.actions[b]) + 1
-            return float(self.task.charge(self.task.reward, self.free, left))
+            return left * self.charge
         now = {name: float(part[b]) for name, part in means.items()}
         try:
             return float(self.task.reward(now, self.free))

@@ -1,11 +1,13 @@
 """The Gymnasium environments of any flow: a true batch, and a single one."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
@@ -21,6 +23,11 @@ COEFFICIENTS = "C = 2F / (rho U^2 L), force on the body; drag positive downstrea
 def _say(what: str, share: float) -> None:
     """Tell on the standard error how far the baseline of a new case is."""
     print(f"\rmanywake: baseline, {what} {share:4.0%}", end="\n" if share >= 1 else "", file=sys.stderr, flush=True)
+
+
+def _drawn(random: np.random.Generator) -> int:
+    """Return the seed of the next episode of a flow whose generator this is."""
+    return int(random.integers(2**32))
 
 
 def _checked(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
@@ -40,7 +47,9 @@ class FlowVectorEnv(gymnasium.vector.VectorEnv):
 
     Observation (B, values): what `Task.observe` names. Action (B, actions) in [-1, 1]: mixed to amplitudes in units of
     their limits (`Task.mixing`). The horizon is `truncated`; a flow that blows up is `terminated` with a finite
-    observation and a charge. `info` has, for the last action, every reading by name (means, absent before the first
+    observation and a charge. An episode is a function of its seed and of the actions. After reset(seed=s) flow i has
+    the episodes of a single environment that was reset with s + i: that of the seed, then those of seeds drawn from a
+    generator of its own. `info` has, for the last action, every reading by name (means, absent before the first
     action, NaN when the flow blew up; their convention stands in `metadata["coefficients"]`), amplitudes (inputs), time
     and diverged.
     """
@@ -62,24 +71,43 @@ class FlowVectorEnv(gymnasium.vector.VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._flows = ControlledFlows(store.flow(self.case, _say), self.task, num_envs)
-        self._ended, self._diverged, self._fresh = np.zeros((3, num_envs), dtype=bool)
-        self._restart(~self._fresh)
+        self._ended, self._diverged = np.zeros((2, num_envs), dtype=bool)
+        self._fresh = ~self._ended
+        self._random = [seeding.np_random()[0] for _ in range(num_envs)]
 
-    def _restart(self, which: np.ndarray) -> None:
-        """Put the flows of a mask back to the start state; a fresh flow has no readings yet."""
-        self._flows.reset(np.flatnonzero(which))
+    def _restart(self, which: np.ndarray, given: Sequence[int | None] | None = None) -> None:
+        """Begin the next episodes of the flows of a mask, of seeds that are given; a fresh flow has no readings yet."""
+        columns, seeds = np.flatnonzero(which), []
+        for column in columns.tolist():
+            seed = None if given is None else given[column]
+            if seed is not None:
+                self._random[column] = seeding.np_random(seed)[0]
+            seeds.append(_drawn(self._random[column]) if seed is None else seed)
+        self._flows.reset(columns, seeds)
         self._fresh[which], self._ended[which], self._diverged[which] = True, False, False
 
-    def reset(self, *, seed=None, options: dict[str, Any] | None = None):
-        """Put all flows (or those of options["reset_mask"]) back to the start state."""
-        super().reset(seed=seed if not isinstance(seed, list) else seed[0], options=options)
+    def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None):
+        """Begin an episode in all flows, or in those of options["reset_mask"].
+
+        seed: of the first flow's episode, the others' being those that follow; or a seed, or None, for each flow. A
+        flow without one goes on to the seed that its own generator draws.
+        """
+        if seed is None:
+            given: list[int | None] = [None] * self.num_envs
+        else:
+            given = list(seed) if isinstance(seed, Sequence) else [seed + k for k in range(self.num_envs)]
+        if len(given) != self.num_envs:
+            raise ValueError(
+                f"seed: got {len(given)}, wanted one for each of the {self.num_envs} flows, or one for all"
+            )
+        super().reset(seed=given[0], options=options)
         mask = (options or {}).get("reset_mask")
         mask = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask)
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             raise ValueError(
                 f"reset_mask: got {mask}, wanted {self.num_envs} booleans, one per flow, at least one True"
             )
-        self._restart(mask)
+        self._restart(mask, given)
         return self._flows.observe(), self._info(mask)
 
     def step(self, actions):
@@ -139,9 +167,9 @@ class FlowEnv(gymnasium.Env):
         self.observation_space, self.action_space = spaces(self.case, self.task)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        """Return to the start state, the developed flow at an upward crossing of C_L."""
+        """Begin the episode of a seed; without one, that of a seed drawn from `np_random`."""
         super().reset(seed=seed, options=options)
-        observation, info = self._batch.reset()
+        observation, info = self._batch.reset(seed=_drawn(self.np_random) if seed is None else seed)
         return observation[0], _single(info)
 
     def step(self, action):

@@ -10,7 +10,7 @@ from manywake.flow.mesh import Mesh
 from manywake.flow.operators import Operators, Tables, flatten
 from manywake.machine import disk
 
-_PLAIN = ("velocity_order", "pressure_order", "kinetic")
+_PLAIN = ("velocity_order", "pressure_order", "kinetic", "noise")
 _NAMES = ("inputs", "functionals")
 
 

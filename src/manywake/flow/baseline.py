@@ -1,8 +1,7 @@
-"""The baseline of a case, what every run starts from: mesh, start state, time-mean flow, uncontrolled statistics."""
+"""The baseline of a case, what every run starts from: mesh, start states, mean flow, statistics, what it withstands."""
 
 import json
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,56 +9,75 @@ import numpy as np
 
 from manywake.case import describe
 from manywake.case.case import Case
-from manywake.case.geometry import outline
 from manywake.flow import mesh as meshes
-from manywake.flow import operators, problem, readings, statistics, steady
+from manywake.flow import operators, problem, readings, spinup, stability, statistics, steady
 from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.mesh import Mesh
 from manywake.flow.operators import Operators
 from manywake.flow.problem import Problem
-from manywake.flow.statistics import Shedding
+from manywake.flow.spinup import FreeFlows, Progress
+from manywake.flow.stability import Withstood
+from manywake.flow.statistics import Kind, Statistics
 from manywake.machine import disk
 
-FORMAT = 2
+FORMAT = 3
 MEAN_PERIODS = 12
-SETTLE = 40.0
-"""Time for which a street goes on once it is advected with its mean, in L / U."""
-_CHUNK, _SAMPLE = 50, 10
-_RECENT = 50.0
-"""Time over which the spin-up knows its own C_L, in L / U: a few shedding periods."""
-_NUMBERS = ("flow_digest", "geometry_digest", "free", "steady", "recipe")
-Progress = Callable[[str, float], None]
-"""progress(what, share done): called now and then by work that takes long."""
+AVERAGED = 200.0
+"""Time over which a flow that is not periodic is averaged, in L / U."""
+PHASES = 4
+"""Start states of a periodic flow, evenly spread over a period from an upward crossing of the lift on."""
+_NUMBERS = ("flow_digest", "geometry_digest", "steady", "recipe")
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """The uncontrolled flow of one case; fields are in scikit-fem's order.
+    """The uncontrolled flow of one case; fields are in scikit-fem's order, doubles that singles can hold when made.
 
-    start: the developed street at an upward crossing of C_L. mean: (n, 2) velocity averaged over whole periods, with
-    which `Scheme.mean` advects. free: mean of each reading by name, without control. steady: readings of the steady
-    base flow, the drag that remains with all shedding gone.
+    starts: states that an episode can start from, far apart; the first is the start state. mean: (n, 2) velocity, with
+    which `Scheme.mean` advects. fluctuation: (n,) largest deviation from it under full forcing, with which
+    `Scheme.damping` damps. statistics: of the uncontrolled flow. steady: readings of the steady flow, the drag that
+    remains with all shedding gone. withstood: what the stability run found.
     """
 
     flow_digest: str
     geometry_digest: str
     mesh: Mesh
-    start: Start
+    starts: tuple[Start, ...]
     mean: np.ndarray
-    shedding: Shedding
-    free: dict[str, float]
+    fluctuation: np.ndarray
+    statistics: Statistics
     steady: dict[str, float]
+    withstood: Withstood
     recipe: str
 
+    @property
+    def start(self) -> Start:
+        return self.starts[0]
+
+    @property
+    def free(self) -> dict[str, float]:
+        """Mean of each reading by name, without control."""
+        return self.statistics.means
+
+    @property
+    def advecting(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean flow and fluctuation, what `assemble` makes operators with."""
+        return self.mean, self.fluctuation
+
     def arrays(self) -> dict[str, np.ndarray]:
-        named = {f"start_{name}": part for name, part in vars(self.start).items()}
+        parts = {f"start_{name}": np.stack([getattr(start, name) for start in self.starts]) for name in _parts()}
+        parts |= {"mean": self.mean, "fluctuation": self.fluctuation}
+        named = {
+            name: part.astype(np.float32) if (part == _single(part)).all() else part for name, part in parts.items()
+        }
         named |= {f"boundary_{name}": facets.astype(np.int32) for name, facets in self.mesh.boundaries.items()}
         named |= {"points": self.mesh.points, "triangles": self.mesh.triangles.astype(np.int32)}
-        return named | {"mean": self.mean}
+        return named | {"samples": self.withstood.samples}
 
     def numbers(self) -> dict[str, Any]:
         """Return everything that is no array, as plain data."""
-        return {name: getattr(self, name) for name in _NUMBERS} | {"shedding": vars(self.shedding)}
+        plain = {name: getattr(self, name) for name in _NUMBERS}
+        return plain | {"statistics": self.statistics.plain(), "withstood": self.withstood.plain()}
 
     def digest(self) -> str:
         """Return a hash: two baselines with the same start every run from the same bits."""
@@ -67,113 +85,134 @@ class Baseline:
         return disk.digest(self.arrays() | {"numbers": np.frombuffer(numbers, np.uint8)})
 
 
-def assemble(case: Case, posed: Problem, mean: np.ndarray | None, precision: type = np.float32) -> Operators:
-    """Return the operators of a case's problem that advect with a mean flow."""
-    return operators.assemble(posed, case.scheme, case.dt, case.viscosity, mean, case.sensors, precision)
+def assemble(
+    case: Case,
+    posed: Problem,
+    mean: np.ndarray | None,
+    fluctuation: np.ndarray | None = None,
+    precision: type = np.float32,
+) -> Operators:
+    """Return the operators of a case's problem that advect with a mean flow and damp where the flow departs from it."""
+    how = case.scheme, case.dt, case.viscosity, mean, fluctuation
+    return operators.assemble(posed, *how, case.sensors, precision)
 
 
 def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None) -> Baseline:
-    """Compute the baseline of a case: mesh it (unless given), solve for the steady flow, spin up, and average.
+    """Compute the baseline of a case: mesh it (unless given), solve for the steady flow, spin up, average, force.
 
     A scheme that advects with the mean flow has the steady flow in its place until there is a street to average.
     """
-    if not case.bodies:
-        raise ValueError("baseline: got a case without a body, wanted one whose lift tells how far its shedding is")
-    report, unit = progress or (lambda what, share: None), case.convective_time
+    report = progress or (lambda what, share: None)
     report("mesh", 0.0)
     posed = problem.pose(case, meshes.build(case) if mesh is None else mesh)
-    report("steady flow", 0.0)
     base = steady.solve(case, posed, report)
-    ops = assemble(case, posed, base.u)
-    flow, advecting = FlowBatch(ops, kicked(case, ops), 1), None
-    recent = min(_RECENT, 2 / 3 * case.spin_up)  # before that it is the kick that dies down
-    c_l = _develop(flow, case.spin_up * unit, recent * unit, report, "spin-up")
-    recipe = f"format {FORMAT}; kicked rest, over {case.spin_up:g} L/U in steps of {case.dt:g} ({case.scheme.name})"
-    if case.scheme.mean:
-        advecting, _ = _average(flow, c_l, report, "mean flow")
-        flow = FlowBatch(assemble(case, posed, advecting), flow.state(0), 1)
-        c_l = _develop(flow, SETTLE * unit, _RECENT * unit, report, "spin-up about the mean")
-        recipe += f" about the steady flow, mean over {MEAN_PERIODS} periods, over {SETTLE:g} L/U more about that mean"
-    _to_crossing(flow, c_l)
-    start = flow.state(0)
-    mean, record = _average(flow, c_l, report, "mean flow" if advecting is None else "statistics")
-    recipe += f", stopped at an upward crossing of C_L; means sample every {_SAMPLE}th step; steady flow by Newton"
-    statistic, free = uncontrolled(record, case.dt)
-    kept = mean if advecting is None else advecting
-    still, digests = base.readings | {"power": 0.0}, (describe.flow_digest(case), describe.geometry_digest(case))
-    return Baseline(*digests, posed.space.mesh, start, kept, statistic, free, still, recipe)
+    found, mean, states, recipe = _street(case, posed, base.u, report)
+    mean, states = _single(mean), [_rounded(state) for state in states]
+    report("fluctuation", 0.0)
+    largest = _fluctuation(case, posed, mean, states, found)
+    ops = assemble(case, posed, mean, largest)
+    flows = FreeFlows(case, ops, states, base.u)
+    kind, record = spinup.settle(flows, spinup.BLOCK, report, "spin-up about the mean")
+    starts, free = _recorded(flows, kind, record, report)
+    starts = tuple(_rounded(start) for start in starts)
+    tried = stability.withstood(case, ops, list(starts), free.period, report)
+    digests = describe.flow_digest(case), describe.geometry_digest(case)
+    recipe += f"; {spinup.BLOCK:g} L/U and more about that mean; {kind}; steady flow by Newton"
+    still = base.readings | {"power": 0.0}
+    return Baseline(*digests, posed.space.mesh, starts, mean, largest, free, still, tried, recipe)
 
 
-def uncontrolled(record: dict[str, np.ndarray], time_step: float) -> tuple[Shedding, dict[str, float]]:
-    """Return the statistics of uncontrolled readings (steps,), and the mean of each, over whole periods."""
-    whole = statistics.whole_periods(clock(record))
-    found = statistics.shedding(record["c_d"], record["c_l"], time_step, clock(record))
-    return found, {name: float(series[whole].mean()) for name, series in record.items()}
+def _street(case: Case, posed: Problem, still: np.ndarray, report: Progress):
+    """Spin up about the steady flow, at half or a quarter of the step where the whole one blows up.
+
+    Returns the period if there is one, the mean flow (n, 2), the last states, and how that was done.
+    """
+    for parts in (1, 2, 4):
+        chosen = replace(case, time_step=case.dt / parts)
+        ops = assemble(chosen, posed, still)
+        flows = FreeFlows(chosen, ops, spinup.kicks(case, ops), still)
+        try:
+            kind, record = spinup.settle(flows, case.spin_up, report, "spin-up")
+            break
+        except spinup.BlewUp:
+            if parts == 4:
+                raise
+    period = statistics.period(record[flows.clock][:, 0], ops.time_step) if kind == "periodic" else None
+    mean = still
+    if kind != "steady":
+        over = MEAN_PERIODS * period if period else AVERAGED * case.convective_time
+        mean = spinup.average(flows, over, report, "mean flow")
+    recipe = f"format {FORMAT}; {flows.flows} flows from kicked rests, {case.scheme.name} in steps of {chosen.dt:g}"
+    return period, mean, [spinup.rescaled(state, parts) for state in flows.states()], recipe
 
 
-def clock(record: dict[str, np.ndarray]) -> np.ndarray:
-    """Return the lift of the first body, by which periods are told: the sum of several may be steady."""
-    return next(series for name, series in record.items() if name.startswith("c_l."))
+def _fluctuation(case: Case, posed: Problem, mean: np.ndarray, states: list[Start], period: float | None) -> np.ndarray:
+    """Return the largest departure from the mean flow (n,) under forcing, at half the step or less."""
+    if not case.scheme.damping:
+        return np.zeros(len(mean))
+    for parts in (2, 4, 8):
+        ops = assemble(replace(case, time_step=case.dt / parts), posed, mean)
+        starts = [spinup.rescaled(state, 1 / parts) for state in states]
+        largest = stability.fluctuation(case, ops, starts, mean, period)
+        if np.isfinite(largest).all():
+            return _single(largest)
+    raise RuntimeError(
+        f"baseline: the flow blows up under its inputs at steps of {case.dt / parts:g}; lower their limits, or the step"
+    )
 
 
-def _develop(flow: FlowBatch, duration: float, recent: float, report: Progress, what: str) -> np.ndarray:
-    """Advance an uncontrolled flow; return its C_L over the time `recent`, the last."""
-    steps, c_l = round(duration / flow.ops.time_step), np.zeros(0)
-    for done in range(0, steps, _CHUNK):
-        c_l = np.concatenate([c_l, clock(free_run(flow, _CHUNK))])[-int(recent / flow.ops.time_step) :]
-        if not np.isfinite(c_l[-1]):
-            at, dt = (done + _CHUNK) * flow.ops.time_step, flow.ops.time_step
-            raise RuntimeError(f"baseline: the flow blew up by time {at:g} of its {what}; halve the time step {dt:g}")
-        report(what, min((done + _CHUNK) / steps, 1.0))
-    return c_l
+def _recorded(flows: FreeFlows, kind: Kind, last: dict[str, np.ndarray], report: Progress):
+    """Advance to the start states; return a list of them and the statistics of what follows. last: record so far."""
+    dt, unit = flows.ops.time_step, flows.case.convective_time
+    if kind == "steady":
+        return flows.states()[:1], statistics.uncontrolled(last, flows.clock, dt, kind)
+    if kind == "aperiodic":
+        starts = flows.states()
+        return starts, statistics.uncontrolled(flows.run(AVERAGED, report, "statistics"), flows.clock, dt, kind)
+    kept = spinup.apart(last)
+    period = statistics.period(last[flows.clock][:, 0], dt) / unit
+    _to_crossing(flows, last[flows.clock][:, 0])
+    starts, record = [], []
+    every = (1 + MEAN_PERIODS) * period
+    for k in range(PHASES):
+        starts += [flows.batch.state(column) for column in kept]
+        record.append(flows.run(period / PHASES, report, "statistics", k * period / PHASES, every))
+    record.append(flows.run(MEAN_PERIODS * period, report, "statistics", period, every))
+    kept_record = {name: series[:, kept] for name, series in readings.joined(record).items()}
+    return starts, statistics.uncontrolled(kept_record, flows.clock, dt, kind)
 
 
-def _to_crossing(flow: FlowBatch, c_l: np.ndarray) -> None:
-    """Advance to the next upward crossing of the middle of C_L, step by step: a state of defined phase."""
-    level, previous = 0.5 * (c_l.max() + c_l.min()), c_l[-1]
-    for _ in range(5 * len(c_l)):
-        now = clock(free_run(flow, 1))[0]
+def _to_crossing(flows: FreeFlows, signal: np.ndarray) -> None:
+    """Advance to the next upward crossing of the middle of the first flow's lift: a state of defined phase."""
+    level, previous = 0.5 * (signal.max() + signal.min()), signal[-1]
+    for _ in range(5 * len(signal)):
+        now = flows.advance(1)[flows.clock][0, 0]
         if previous < level <= now:
             return
         previous = now
-    raise RuntimeError("baseline: C_L does not oscillate; is the flow steady at this Reynolds number?")
+    raise RuntimeError(f"baseline: {flows.clock} stopped oscillating; spin up for longer (spin_up)")
 
 
-def _average(flow: FlowBatch, c_l: np.ndarray, report: Progress, what: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Advance over MEAN_PERIODS; return the mean velocity (n, 2), and the readings (steps,) of a little more."""
-    period = statistics.shedding(c_l, c_l, flow.ops.time_step).period
-    samples = round(MEAN_PERIODS * period / flow.ops.time_step / _SAMPLE)
-    total, series = np.zeros((len(flow.ops.velocity_order), 2)), []
-    for k in range(samples + 2):
-        series.append(free_run(flow, _SAMPLE))
-        if k < samples:
-            total += flow.state(0).u
-        report(what, min(k / samples, 1.0))
-    return total / samples, readings.joined(series)
+def _single(x: np.ndarray) -> np.ndarray:
+    """Return numbers rounded to singles, as they are kept."""
+    return x.astype(np.float32).astype(np.float64)
 
 
-def free_run(flow: FlowBatch, steps: int) -> dict[str, np.ndarray]:
-    """Advance a single uncontrolled flow; return its readings by name, (steps,)."""
-    still = np.zeros((steps, len(flow.ops.inputs), 1))
-    return {name: part[:, 0] for name, part in readings.named(flow.ops, flow.advance(still), still).items()}
-
-
-def kicked(case: Case, ops: Operators) -> Start:
-    """Return fluid at rest but for an upward gust behind the bodies, so that shedding sets in at once."""
-    (x, y), length = ops.space.x.T, case.scales.length
-    around = np.concatenate([outline(body) for body in case.bodies])
-    (_, low), (back, high) = around.min(axis=0), around.max(axis=0)
-    distance = (x - back - length) ** 2 + (y - 0.5 * (low + high)) ** 2
-    u = np.stack([np.zeros_like(x), 0.3 * case.scales.velocity * np.exp(-distance / (0.5 * length) ** 2)], axis=1)
-    u[ops.velocity_order[ops.free :]] = 0.0
-    return Start(u, u.copy(), *np.zeros((3, len(ops.pressure_order))))
+def _rounded(start: Start) -> Start:
+    return Start(**{name: _single(part) for name, part in vars(start).items()})
 
 
 def phases(ops: Operators, baseline: Baseline, count: int) -> list[Start]:
-    """Return `count` states of the uncontrolled flow, spread evenly over one shedding period from the start state."""
-    flow, period, states = FlowBatch(ops, baseline.start, 1), baseline.shedding.period / ops.time_step, []
-    for steps in np.diff([round(k * period / count) for k in range(count)], prepend=0):
-        free_run(flow, steps)
+    """Return `count` states of the uncontrolled flow: of a periodic one spread evenly over a period from the start on.
+
+    Of others they are the start states, in turn.
+    """
+    period = baseline.statistics.period
+    if period is None:
+        return [baseline.starts[k % len(baseline.starts)] for k in range(count)]
+    flow, states = FlowBatch(ops, baseline.start, 1), []
+    for steps in np.diff([round(k * period / ops.time_step / count) for k in range(count)], prepend=0):
+        spinup.free_run(flow, steps)
         states.append(flow.state(0))
     return states
 
@@ -201,11 +240,15 @@ def read(path: Path, case: Case) -> Baseline:
             about = disk.description(data)
             names = [key.removeprefix("boundary_") for key in data.files if key.startswith("boundary_")]
             boundaries = {name: data[f"boundary_{name}"].astype(np.int64) for name in names}
+            parts = [data[f"start_{name}"].astype(np.float64) for name in _parts()]
+            tried = about["withstood"]
             found = Baseline(
                 mesh=Mesh(data["points"], data["triangles"].astype(np.int64), boundaries, meshes.curves(case, names)),
-                start=Start(**{f.name: data[f"start_{f.name}"] for f in fields(Start)}),
-                mean=data["mean"],
-                shedding=Shedding(**about["shedding"]),
+                starts=tuple(Start(*part) for part in zip(*parts, strict=True)),
+                mean=data["mean"].astype(np.float64),
+                fluctuation=data["fluctuation"].astype(np.float64),
+                statistics=statistics.restored(about["statistics"]),
+                withstood=Withstood(tried["held"], tried["smooth"], tuple(tried["names"]), data["samples"]),
                 **{name: about[name] for name in _NUMBERS},
             )
     except disk.DAMAGE as error:
@@ -222,3 +265,7 @@ def description(path: Path) -> dict[str, Any]:
             return disk.description(data)
     except disk.DAMAGE:
         return {}
+
+
+def _parts() -> list[str]:
+    return [field.name for field in fields(Start)]

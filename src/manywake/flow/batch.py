@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from manywake.flow import stepper
+from manywake.flow.disturb import Disturbances
 from manywake.flow.kernels import product
 from manywake.flow.operators import Operators
 from manywake.flow.stepper import State
@@ -31,7 +32,10 @@ def widths(flows: int) -> list[int]:
 
 
 class FlowBatch:
-    """B independent flows of one case. A flow's numbers do not depend on B, on its column, or on its neighbours."""
+    """B independent flows of one case. A flow's numbers do not depend on B, on its column, or on its neighbours.
+
+    Their disturbances are drawn from a seed each, that of a column being its number until `reset` gives another.
+    """
 
     def __init__(self, ops: Operators, start: Start, flows: int):
         if flows < 1:
@@ -39,14 +43,30 @@ class FlowBatch:
         self.ops, self.flows, self._start = ops, flows, start
         self._blocks = [_empty(ops, width) for width in widths(flows)]
         self._columns = [(b, lane) for b, width in enumerate(widths(flows)) for lane in range(width)]
-        self.reset(range(len(self._columns)))
+        self._disturbances = Disturbances(ops, range(flows))
+        self._put(range(len(self._columns)), start)
 
-    def reset(self, columns: Iterable[int], start: Start | None = None) -> None:
-        """Put the given columns back to `start` (default: the state the batch was made with)."""
+    def reset(self, columns: Iterable[int], start: Start | None = None, seeds: Iterable[int] | None = None) -> None:
+        """Put the given columns back to `start` (default: the state the batch was made with).
+
+        seeds: those that their disturbances begin with, default: the columns' numbers.
+        """
+        columns = list(columns)
+        self._disturbances.reset(columns, columns if seeds is None else seeds)
+        self._put(columns, self._start if start is None else start)
+
+    def _put(self, columns: Iterable[int], start: Start) -> None:
         for column in columns:
             b, lane = self._columns[column]
             for name, lanes, order in self._parts(b, lane):
-                lanes[...] = getattr(self._start if start is None else start, name)[order]
+                lanes[...] = getattr(start, name)[order]
+
+    def disturbed(self, amplitudes: np.ndarray) -> np.ndarray:
+        """Return the agent's amplitudes (steps, actuators, B) with those of the disturbances, (steps, inputs, B).
+
+        Chance draws its next numbers at every call; these do not depend on how many steps a call has.
+        """
+        return np.concatenate([amplitudes, self._disturbances.series(len(amplitudes))], axis=1)
 
     def advance(self, amplitudes: np.ndarray) -> np.ndarray:
         """Advance all flows by len(amplitudes) steps; amplitudes (steps, inputs, B) are held during each step.

@@ -20,6 +20,8 @@ from manywake.flow.space import Space
 from manywake.flow.store import Flow
 
 FREE = "no control"
+RISE = 1 / 60
+"""Share of the time before the averages in which held amplitudes rise."""
 
 
 def names(reference: Forced) -> list[str]:
@@ -29,7 +31,8 @@ def names(reference: Forced) -> list[str]:
 
 def _forcings(reference: Forced, t: np.ndarray) -> dict[str, list[np.ndarray]]:
     """Return the amplitudes (steps,) of the first input under each forcing by name, a flow each."""
-    found = {FREE: [0.0 * t]} | {f"Q = {a:g}": [0.0 * t + a] for a in reference.steady}
+    risen = np.minimum(t / (RISE * reference.settle), 1.0)
+    found = {FREE: [0.0 * t]} | {f"Q = {a:g}": [a * risen] for a in reference.steady}
     for a, f, phases in reference.harmonic:
         sines = [a * np.sin(2 * np.pi * (f * t + k / phases)) for k in range(phases)]
         found[f"Q = {a:g} sin(2 pi {f:g} t)"] = sines
@@ -45,9 +48,10 @@ def run(
     first = np.stack([series for columns in _forcings(reference, t).values() for series in columns], axis=1)
     amplitudes = np.stack([share / mixing[0] * first for share in mixing], axis=1)
     flow, record = FlowBatch(ops, start, first.shape[1]), []
+    flow.reset(range(flow.flows), seeds=[0] * flow.flows)  # the same disturbances, if any, under all forcings
     for k in range(0, len(t), 1000):
         report(what, k / len(t))
-        chunk = amplitudes[k : k + 1000]
+        chunk = flow.disturbed(amplitudes[k : k + 1000])
         record.append(readings.named(ops, flow.advance(chunk), chunk))
     return readings.joined(record)
 
@@ -81,7 +85,8 @@ def fine(flow: Flow, reference: Forced, mixing: np.ndarray, report: Progress) ->
     scheme = BDF2 if case.scheme == GODA else case.scheme
     chosen = replace(case, time_step=case.dt / 2, scheme=scheme)
     posed = problem.pose(chosen, meshes.refine(base.mesh))
-    refined = baseline.assemble(chosen, posed, moved(space, posed.space.x) @ base.mean)
+    onto = moved(space, posed.space.x)
+    refined = baseline.assemble(chosen, posed, *(onto @ part for part in base.advecting))
     record = run(refined, interpolate(space, base.start, refined), reference, mixing, report, "fine reference")
     recipe = (
         f"manywake.flow.forced.fine: every triangle of the mesh cut into four ({len(refined.mesh.triangles)} triangles)"
@@ -117,6 +122,7 @@ def interpolate(space: Space, start: Start, fine: Operators) -> Start:
     u, u_old = velocity @ start.u, velocity @ (0.5 * (start.u + start.u_old))
     for part in (u, u_old):
         part[fine.velocity_order[fine.free :]] = fine.tables.fixed
+        part[fine.slip] = 0.0
     return Start(u, u_old, pressure @ start.p, pressure @ start.phi / 2, pressure @ start.phi_old / 2)
 
 

@@ -138,6 +138,20 @@ def linear_terms(start, column, value, e, d, g_start, g_column, g_value, p, out)
 
 
 @kernel
+def push(rows, loads, amplitudes, s, out):
+    """Add the sum over inputs j of amplitudes[s, j] loads[j, k] to out[rows[k]] (eq. 19).
+
+    loads: (inputs, rows, 2). amplitudes: (steps, inputs) lanes of doubles. out: pairs.
+    """
+    for k in range(len(rows)):
+        x, y = splat(0.0, amplitudes), splat(0.0, amplitudes)
+        for j in range(amplitudes.shape[1]):
+            q = load(amplitudes, s, j)
+            x, y = fma(loads[j, k, 0], q, x), fma(loads[j, k, 1], q, y)
+        store(out, rows[k], 0, add(load(out, rows[k], 0), rounded(join(x, y), out)))
+
+
+@kernel
 def subtract_rows(rows, start, column, value, x, out):
     """Subtract the sum over k of value[k] x[column[k]] of sparse row r from out[rows[r]]."""
     for r in range(len(rows)):
@@ -154,8 +168,33 @@ def solve(first, row_start, row, lower_start, lower, upper, lower_corner, upper_
     Forward, a panel is solved and pushed to the rows below it; backward, those rows are pulled into it: each row of y
     that is loaded serves as many entries as the panel has columns, and there is a sum for each of them.
     """
-    if len(upper) == 0:
-        upper = lower
+    where = first, row_start, row, lower_start
+    _forward(*where, lower, lower_corner, y)
+    _backward(*where, lower, upper, upper_corner, inverse_diagonal, 0, len(first) - 1, y)
+
+
+@kernel
+def solve_held(
+    first, row_start, row, lower_start, lower, upper, lower_corner, upper_corner, inverse_diagonal, last, held, e, y
+):
+    """Solve as `solve` does, but in the rows of the `last` panels the component `held` of y becomes minus that of e.
+
+    Both components share the factor: what the rows above see of those below comes in with the sweep backward, so there
+    the held component is overwritten (eq. 18). e, y: pairs.
+    """
+    where, panels = (first, row_start, row, lower_start), len(first) - 1
+    split = panels - last
+    _forward(*where, lower, lower_corner, y)
+    _backward(*where, lower, upper, upper_corner, inverse_diagonal, split, panels, y)
+    for i in range(first[split], first[panels]):
+        x, z, against = low(load(y, i, 0)), high(load(y, i, 0)), mul(-1.0, load(e, i, 0))
+        store(y, i, 0, join(x, high(against)) if held else join(low(against), z))
+    _backward(*where, lower, upper, upper_corner, inverse_diagonal, 0, split, y)
+
+
+@kernel
+def _forward(first, row_start, row, lower_start, lower, lower_corner, y):
+    """Solve L y = y in place."""
     for p in range(len(first) - 1):
         c, width, o = first[p], first[p + 1] - first[p], lower_start[p]
         begin, end = row_start[p], row_start[p + 1]
@@ -197,8 +236,15 @@ def solve(first, row_start, row, lower_start, lower, upper, lower_corner, upper_
                 s = fma(lower[o + 1], x1, fma(lower[o], x0, load(y, i, 0)))
                 store(y, i, 0, fma(lower[o + 3], x3, fma(lower[o + 2], x2, s)))
                 o += 4
-    for back in range(len(first) - 1):
-        p = len(first) - 2 - back
+
+
+@kernel
+def _backward(first, row_start, row, lower_start, lower, upper, upper_corner, inverse_diagonal, from_p, to_p, y):
+    """Solve D U y = y in place for the columns of panels from_p ... to_p, from what y is in the rows below them."""
+    if len(upper) == 0:
+        upper = lower
+    for back in range(to_p - from_p):
+        p = to_p - 1 - back
         c, width, o = first[p], first[p + 1] - first[p], lower_start[p]
         begin, end = row_start[p], row_start[p + 1]
         s0 = mul(inverse_diagonal[c], load(y, c, 0))

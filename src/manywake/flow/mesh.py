@@ -97,35 +97,57 @@ def _layers(geo, case: Case, body: Body) -> tuple[list[tuple[str, int]], int]:
     heights = size.layer_height * case.scales.length * size.layer_growth ** np.arange(size.layers)
 
     def ring(height: float) -> tuple[list[int], list[int]]:
-        points = [geo.addPoint(*body.point(np.array([piece.start]), height)[0], 0) for piece, _ in rays]
+        points = [geo.addPoint(*body.point(np.array([piece.start]), height)[0], 0) for piece, _, _ in rays]
         around = zip(rays, points, [*points[1:], points[0]], strict=True)
-        return points, [_curve(geo, body, *ray, height, (a, b), centre) for ray, a, b in around]
+        return points, [_curve(geo, body, *ray[:2], height, (a, b), centre) for ray, a, b in around]
 
     (inner_points, inner), (outer_points, outer) = ring(0.0), ring(float(heights.sum()))
     spokes = [geo.addLine(a, b) for a, b in zip(inner_points, outer_points, strict=True)]
-    for k, (_, facets) in enumerate(rays):
+    for k, (_, facets, growth) in enumerate(rays):
         after = (k + 1) % len(rays)
         patch = geo.addPlaneSurface([geo.addCurveLoop([inner[k], spokes[after], -outer[k], -spokes[k]])])
-        geo.mesh.setTransfiniteCurve(inner[k], facets + 1)
-        geo.mesh.setTransfiniteCurve(outer[k], facets + 1)
+        geo.mesh.setTransfiniteCurve(inner[k], facets + 1, "Progression", growth)
+        geo.mesh.setTransfiniteCurve(outer[k], facets + 1, "Progression", growth)
         geo.mesh.setTransfiniteCurve(spokes[k], size.layers + 1, "Progression", size.layer_growth)
         geo.mesh.setTransfiniteSurface(patch, "AlternateLeft")
-    return [(piece.name, curve) for (piece, _), curve in zip(rays, inner, strict=True)], geo.addCurveLoop(outer)
+    return [(piece.name, curve) for (piece, _, _), curve in zip(rays, inner, strict=True)], geo.addCurveLoop(outer)
 
 
-def _rays(case: Case, body: Body) -> list[tuple[Piece, int]]:
-    """Return the pieces of a body with their facets: parts as they are, what lies between in equal quarters."""
-    rays = []
-    for piece in body.pieces():
-        count = 1 if body.straight or piece.name != body.name else math.ceil((piece.end - piece.start) / 90)
-        step = (piece.end - piece.start) / count
-        for k in range(count):
-            mine = Piece(piece.name, piece.start + k * step, piece.start + (k + 1) * step)
-            along = body.point(np.linspace(mine.start, mine.end, 2 if body.straight else 200))
-            length = float(np.linalg.norm(np.diff(along, axis=0), axis=1).sum())
-            wanted = round(length / (case.sizes.body * case.scales.length))
-            rays.append((mine, max(wanted if piece.name == body.name else case.sizes.part_facets, 1)))
+def _rays(case: Case, body: Body) -> list[tuple[Piece, int, float]]:
+    """Return the pieces of a body with their facets, and how much longer each facet is than the one before.
+
+    Parts have facets of one length. Between them facets grow from the length of a part's to `Sizes.body` half way, in
+    patches of at most a quarter of the turn.
+    """
+    rays, pieces, L = [], body.pieces(), case.scales.length
+    largest = case.sizes.body * L
+    lengths = [_length(body, piece.start, piece.end) for piece in pieces]
+
+    def facet(k: int) -> float:
+        part = pieces[k % len(pieces)].name != body.name
+        return min(lengths[k % len(pieces)] / case.sizes.part_facets, largest) if part else largest
+
+    for k, piece in enumerate(pieces):
+        if piece.name != body.name:
+            rays.append((piece, case.sizes.part_facets, 1.0))
+            continue
+        first, last = facet(k - 1), facet(k + 1)
+        graded, turn = min(first, last) < largest, 0.0 if body.straight else piece.end - piece.start
+        count = 2 * math.ceil(max(turn, 1.0) / 180) if graded else max(math.ceil(turn / 90), 1)
+        ends = np.linspace(piece.start, piece.end, count + 1)
+        along = np.interp(np.linspace(0, 1, count + 1), (0.0, 0.5, 1.0), (first, largest, last))
+        for j in range(count):
+            part = _length(body, ends[j], ends[j + 1])
+            a, b = float(along[j]), float(along[j + 1])
+            facets = max(round(part / a if a == b else part * math.log(b / a) / (b - a)), 1)
+            mine = Piece(piece.name, float(ends[j]), float(ends[j + 1]))
+            rays.append((mine, facets, (b / a) ** (1 / max(facets - 1, 1))))
     return rays
+
+
+def _length(body: Body, start: float, end: float) -> float:
+    along = body.point(np.linspace(start, end, 2 if body.straight else 200))
+    return float(np.linalg.norm(np.diff(along, axis=0), axis=1).sum())
 
 
 def _curve(geo, body: Body, piece: Piece, facets: int, height: float, ends: tuple[int, int], centre: int) -> int:

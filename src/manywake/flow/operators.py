@@ -1,7 +1,8 @@
 """Everything a time step multiplies with or solves by: assembled once per case and mesh, shared by all flows.
 
-Inside, velocity nodes are renumbered: the free ones first, in the elimination order of the momentum matrix, then
-those of given velocity; pressure nodes likewise. So the factors need no permutation while stepping.
+Inside, velocity nodes are renumbered: the free ones first, in the elimination order of the momentum matrix (at its end
+those that slip), then those of given velocity; pressure nodes likewise. So the factors need no permutation while
+stepping.
 """
 
 from collections.abc import Sequence
@@ -29,9 +30,11 @@ class Tables(NamedTuple):
     """The arrays the compiled time loop reads, in the solver's order. Coefficients of the scheme stand in `numbers`.
 
     What acts on rounded fields is float32 as they are: elements, linear, gradient, coupling and factors.
-    fixed: (nodes of given velocity, 2), their values at zero amplitude. residual, increment: rows of the functionals,
-    whose columns count both components of a node, x first; of phi and of A^T phi. read_pressure: of B phi. wall, flux,
-    scale: (functionals, ...), as in `problem.Functional`.
+    fixed: (nodes of given velocity, 2), their values at zero amplitude. slip: how many panels of `momentum` at its end
+    are of nodes that slip, and which component is held there. residual, increment: rows of the functionals,
+    whose columns count both components of a node, x first; of phi and of A^T phi. read_pressure: of B phi.
+    read_velocity: of forces inside the fluid. wall, flux, scale: (functionals, ...), as in `problem.Functional`.
+    force_rows, force_loads: nodes that forces inside the fluid push, and how, (inputs, nodes, 2).
     """
 
     nodes: np.ndarray
@@ -43,14 +46,18 @@ class Tables(NamedTuple):
     coupling_rows: np.ndarray
     coupling: Rows
     momentum: Panels
+    slip: np.ndarray
     divergence: Rows
     poisson: Panels
     fixed: np.ndarray
     input_rows: np.ndarray
     input_profile: np.ndarray
+    force_rows: np.ndarray
+    force_loads: np.ndarray
     residual: Rows
     increment: Rows
     read_pressure: Rows
+    read_velocity: Rows
     wall: np.ndarray
     flux: np.ndarray
     scale: np.ndarray
@@ -62,9 +69,10 @@ class Operators:
     """What `assemble` makes of a problem.
 
     velocity_order, pressure_order: numbers of scikit-fem's nodes in the solver's order: velocity nodes that are free,
-    those that are read, other fixed ones. free: count of the free ones. inputs, functionals: their names in the order
-    of amplitudes and of what a step gives. kinetic: (inputs,), as in `Problem`. sensors: name -> field and rows, acting
-    on the solver's order. precision: of increments and residuals. digest: hash of every number a step uses.
+    those that are read, other fixed ones. free: count of the free ones, the last of which slip. inputs, functionals:
+    their names in the order of amplitudes and of what a step gives. kinetic: (inputs, 3), noise: (disturbances, 3), as
+    in `Problem`. sensors: name -> field and rows, acting on the solver's order. precision: of increments and residuals.
+    digest: hash of every number a step uses.
     """
 
     mesh: Mesh
@@ -76,12 +84,25 @@ class Operators:
     inputs: tuple[str, ...]
     functionals: tuple[str, ...]
     kinetic: np.ndarray
+    noise: np.ndarray
     sensors: dict[str, tuple[str, Rows]]
 
     @cached_property
     def space(self) -> Space:
         """The finite-element spaces. Stepping needs none of it, so it is built when asked for and travels nowhere."""
         return spaces.build(self.mesh)
+
+    @property
+    def slip(self) -> tuple[np.ndarray, int]:
+        """The nodes that slip, in scikit-fem's numbers, and the component of their velocity that is zero."""
+        panels, held = self.tables.slip
+        first = self.tables.momentum.first
+        return self.velocity_order[first[len(first) - 1 - panels] : self.free], int(held)
+
+    @property
+    def actuators(self) -> int:
+        """How many of the inputs are the agent's: the first; the others are disturbances."""
+        return len(self.inputs) - len(self.noise)
 
     @property
     def precision(self) -> type:
@@ -109,18 +130,22 @@ def assemble(
     time_step: float,
     viscosity: float,
     mean: np.ndarray | None = None,
+    fluctuation: np.ndarray | None = None,
     sensors: Sequence[Sensor] = (),
     precision: type = np.float32,
 ) -> Operators:
     """Assemble and factor the operators of a problem (docs/numerics.md, eq. 4-14).
 
     mean: (n, 2) velocity in scikit-fem's order that advects implicitly; ValueError where the scheme wants one and there
-    is none. precision: of increments and residuals, float64 for comparison; the fields are doubles always.
+    is none. fluctuation: (n,) largest departure from the mean, by which the scheme damps; none: it does not. precision:
+    of increments and residuals, float64 for comparison; the fields are doubles always.
     """
     space, dt, nu = problem.space, time_step, viscosity
     n, m = len(space.x), len(space.mesh.points)
-    A = _momentum_matrix(problem, scheme, dt, nu, mean)
-    momentum, free = _factor(A, np.setdiff1d(np.arange(n), problem.fixed))
+    A = _momentum_matrix(space, scheme, dt, nu, mean) + damping(space, scheme, dt, fluctuation)
+    inside = np.setdiff1d(np.arange(n), np.concatenate([problem.fixed, problem.slip]))
+    momentum, free = _factor(A, np.concatenate([inside, problem.slip]), len(problem.slip))
+    slipping = np.count_nonzero(momentum.first[:-1] >= len(free) - len(problem.slip))
     read = np.flatnonzero(sum((f.phi.any(axis=1) for f in problem.functionals), np.zeros(n, bool)))
     velocity = np.concatenate([free, read, np.setdiff1d(problem.fixed, read)])
     poisson, p_free = _factor(space.pressure_stiffness, np.setdiff1d(np.arange(m), problem.pressure_fixed))
@@ -140,22 +165,24 @@ def assemble(
     }
     tables = Tables(
         **{name: _rounded(part, precision) for name, part in acting.items()},
+        slip=np.array([slipping, problem.held], np.uint32),
         divergence=factors.pair(*(-scheme.new / dt * B[p_free][:, velocity] for B in space.divergence)),
         fixed=problem.steady[velocity[len(free) :]],
         input_rows=driven.astype(np.uint32),
         input_profile=np.ascontiguousarray(problem.profiles[:, velocity[driven]]),
+        **_forces(problem, velocity[: len(free) + len(read)]),
         **_readings(problem, A, nu, velocity, pressure),
         numbers=np.array([scheme.ahead, *scheme.pressure]),
     )
     names = problem.inputs, tuple(functional.name for functional in problem.functionals)
     probes = {sensor.name: _sensor(space, sensor, velocity, pressure) for sensor in sensors}
-    return Operators(space.mesh, tables, velocity, pressure, len(free), dt, *names, problem.kinetic, probes)
+    by_input = problem.kinetic, np.array(problem.noise).reshape(-1, 3)
+    return Operators(space.mesh, tables, velocity, pressure, len(free), dt, *names, *by_input, probes)
 
 
-def _momentum_matrix(problem: Problem, scheme: Scheme, dt: float, nu: float, mean: np.ndarray | None) -> sp.csr_matrix:
-    """Return A (n, n) of eq. 9."""
-    space = problem.space
-    A = scheme.new / dt * space.mass + scheme.implicit * nu * space.stiffness + damping(problem, scheme, dt)
+def _momentum_matrix(space: Space, scheme: Scheme, dt: float, nu: float, mean: np.ndarray | None) -> sp.csr_matrix:
+    """Return A (n, n) of eq. 9, without damping."""
+    A = scheme.new / dt * space.mass + scheme.implicit * nu * space.stiffness
     if not scheme.mean:
         return A
     if mean is None:
@@ -163,9 +190,9 @@ def _momentum_matrix(problem: Problem, scheme: Scheme, dt: float, nu: float, mea
     return sp.csr_matrix(A + spaces.clean(spaces.advection(space, mean)))
 
 
-def _factor(matrix: sp.csr_matrix, free: np.ndarray) -> tuple[Panels, np.ndarray]:
-    """Return the factors of a matrix among the free nodes, and those in the order of elimination."""
-    panels, order = factors.factor(matrix[free][:, free])
+def _factor(matrix: sp.csr_matrix, free: np.ndarray, last: int = 0) -> tuple[Panels, np.ndarray]:
+    """Return the factors of a matrix among free nodes, and those in the order of elimination; the last ones stay so."""
+    panels, order = factors.factor(matrix[free][:, free], last)
     return panels, free[order]
 
 
@@ -191,6 +218,20 @@ def _linear(space: Space, scheme: Scheme, dt: float, nu: float, velocity, pressu
     return {"linear": factors.pair(-nu * K, -old / dt * M), "gradient": gradient}
 
 
+NEGLIGIBLE = 1e-12
+"""Share of the largest entry of a load below which a node is not pushed."""
+
+
+def _forces(problem: Problem, tested: np.ndarray) -> dict[str, Any]:
+    """Return the rows that forces inside the fluid push, of the nodes whose residual is needed, and their loads."""
+    if problem.loads is None:
+        return {"force_rows": np.zeros(0, np.uint32), "force_loads": np.zeros((len(problem.inputs), 0, 2))}
+    size = abs(problem.loads)
+    pushed = (size > NEGLIGIBLE * size.max(axis=(1, 2), keepdims=True)).any(axis=(0, 2))[tested]
+    loads = np.ascontiguousarray(problem.loads[:, tested[pushed]])
+    return {"force_rows": np.flatnonzero(pushed).astype(np.uint32), "force_loads": loads}
+
+
 def _readings(problem: Problem, A: sp.csr_matrix, nu: float, velocity, pressure) -> dict[str, Any]:
     """Return the rows of all functionals, and their constants."""
     found, (Bx, By), inputs = problem.functionals, problem.space.divergence, len(problem.profiles)
@@ -200,10 +241,14 @@ def _readings(problem: Problem, A: sp.csr_matrix, nu: float, velocity, pressure)
         flat = [field[order].ravel() for field in fields]
         return factors.rows(sp.csr_matrix(np.array(flat).reshape(len(fields), -1 if fields else len(order))))
 
+    still = np.zeros_like(problem.space.x)
+    loads = np.array([still if f.load is None else f.load for f in found]).reshape(len(found), *still.shape)
+    moved = (sp.csr_matrix(loads[:, velocity, c]) for c in range(2))
     return {
         "residual": rows([f.phi for f in found], velocity),
         "increment": rows([A.T @ f.phi for f in found], velocity),
         "read_pressure": rows([Bx @ f.phi[:, 0] + By @ f.phi[:, 1] for f in found], pressure),
+        "read_velocity": factors.pair(*moved),
         "wall": np.array([nu * f.wall for f in found]).reshape(len(found), inputs + 1),
         "flux": np.array([f.flux for f in found]).reshape(len(found), inputs, inputs),
         "scale": np.array([f.scale for f in found]),
@@ -223,19 +268,17 @@ def _rounded(part, precision) -> Any:
     return part.astype(precision) if part.dtype == np.float64 else part
 
 
-REACH = 2.0
-"""How far `damping` reaches around a jet, in widths of the jet."""
+LOW, HIGH = 0.15, 0.25
+"""Damping sets in where the fluctuation crosses this share of a triangle in a time step, and is whole at that."""
 
 
-def damping(problem: Problem, scheme: Scheme, time_step: float) -> sp.csr_matrix:
-    """Return S (n, n), the stiffness for a viscosity that falls off around each jet as a Gaussian (eq. 15)."""
-
-    @skfem.BilinearForm
-    def form(u, v, w):
-        viscosity = 0.0 * w.x[0]
-        for x, y, width, peak in problem.bells:
-            distance = ((w.x[0] - x) ** 2 + (w.x[1] - y) ** 2) / (REACH * width) ** 2
-            viscosity = viscosity + scheme.damping * time_step * peak**2 * np.exp(-distance)
-        return viscosity * dot(grad(u), grad(v))
-
-    return sp.csr_matrix(form.assemble(problem.space.velocity))
+def damping(space: Space, scheme: Scheme, time_step: float, fluctuation: np.ndarray | None) -> sp.csr_matrix:
+    """Return S (n, n), the stiffness for a viscosity where the fluctuation V (n,) is too fast for the step (eq. 15)."""
+    if fluctuation is None or not scheme.damping:
+        return sp.csr_matrix((len(space.x), len(space.x)))
+    V = np.asarray(space.velocity.interpolate(fluctuation))
+    h = np.sqrt(2 * space.velocity.dx.sum(axis=1))[:, None]
+    w = np.clip((V * time_step / h - LOW) / (HIGH - LOW), 0.0, 1.0)
+    viscosity = scheme.damping * time_step * V**2 * w**2 * (3 - 2 * w)
+    form = skfem.BilinearForm(lambda u, v, at: at.viscosity * dot(grad(u), grad(v)))
+    return sp.csr_matrix(form.assemble(space.velocity, viscosity=viscosity))

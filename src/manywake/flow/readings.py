@@ -13,9 +13,10 @@ KINDS = ("c_d", "c_l", "c_m")
 def named(ops: Operators, read: np.ndarray, amplitudes: np.ndarray) -> dict[str, np.ndarray]:
     """Return the series (steps, B) of every reading by name (`case.readings`).
 
-    read: (steps, functionals, B). amplitudes: (steps, inputs, B). Sums run in one order, so that no bit depends on B.
-    Power is the work of the inputs on the fluid, by pressure and friction and as kinetic energy blown in
-    (docs/numerics.md, eq. 17). An input that takes energy out counts as 0 at that step.
+    read: (steps, functionals, B). amplitudes: (steps, inputs, B), of which those of disturbances may be left out. Sums
+    run in one order, so that no bit depends on B. Power is the work of the agent's inputs on the fluid, by pressure,
+    friction and force, and as kinetic energy blown in (docs/numerics.md, eq. 17). An input that takes energy out counts
+    as 0 at that step.
     """
     parts = {name: read[:, k] for k, name in enumerate(ops.functionals)}
     bodies = [name for name in parts if name.partition(".")[0] in KINDS]
@@ -24,10 +25,21 @@ def named(ops: Operators, read: np.ndarray, amplitudes: np.ndarray) -> dict[str,
         kind = name.partition(".")[0]
         totals[kind] = totals[kind] + parts[name] if kind in totals else parts[name]
     power = np.zeros((len(read), read.shape[2]))
-    for k, name in enumerate(ops.inputs):
-        q = amplitudes[:, k]
-        power = power + np.maximum(q * parts[f"work.{name}"] + ops.kinetic[k] * q * q * q, 0.0)
+    for k, name in enumerate(ops.inputs[: ops.actuators]):
+        q, (first, second, third) = amplitudes[:, k], ops.kinetic[k]
+        blown = third * q * q * q + second * q * q + first * q
+        power = power + np.maximum(q * parts[f"work.{name}"] + blown, 0.0)
     return totals | {name: parts[name] for name in bodies} | {"power": power}
+
+
+NO_FLOW = 1e3
+"""A force coefficient past this is no flow any more: divergence shows in the forces first."""
+
+
+def blown(ops: Operators, read: np.ndarray) -> np.ndarray:
+    """Return which flows blew up, (B,), from what was read of them, (steps, functionals, B)."""
+    forces = [k for k, name in enumerate(ops.functionals) if name.startswith(("c_d.", "c_l."))]
+    return ~((np.abs(read[:, forces]) < NO_FLOW).all(axis=(0, 1)) & np.isfinite(read).all(axis=(0, 1)))
 
 
 def joined(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:

@@ -96,7 +96,7 @@ def _inverse(x: np.ndarray, corner: np.ndarray) -> np.ndarray:
 def clean(matrix: sp.spmatrix) -> sp.csr_matrix:
     """Drop entries that are zero but for rounding (P2 vertex functions against P1 gradients, for one)."""
     matrix = sp.csr_matrix(matrix)
-    matrix.data[abs(matrix.data) < 1e-13 * abs(matrix.data).max()] = 0.0
+    matrix.data[abs(matrix.data) < 1e-13 * abs(matrix.data).max(initial=0.0)] = 0.0
     matrix.eliminate_zeros()
     matrix.sort_indices()
     return matrix

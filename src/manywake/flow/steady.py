@@ -69,7 +69,8 @@ class _Equations:
         self.space, self.n, self.m = problem.space, len(problem.space.x), len(problem.space.mesh.points)
         n, m, self.unit = self.n, self.m, case.scales.length * case.scales.velocity
         pinned = np.empty(0, int) if case.outlet else 2 * n + problem.pressure_fixed
-        self.free = np.setdiff1d(np.arange(2 * n + m), np.concatenate([problem.fixed, n + problem.fixed, pinned]))
+        held = problem.fixed, n + problem.fixed, n * problem.held + problem.slip, pinned
+        self.free = np.setdiff1d(np.arange(2 * n + m), np.concatenate(held))
         self.boundary = np.concatenate([*problem.steady.T, np.zeros(m)])
 
     def stokes(self, s: float) -> np.ndarray:

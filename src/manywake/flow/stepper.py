@@ -8,7 +8,7 @@ from manywake.flow import kernels
 from manywake.flow.operators import Operators
 from manywake.machine import simd
 from manywake.machine.compile import kernel
-from manywake.machine.simd import add, double, fma, join, load, mul, rounded, splat, store, sub
+from manywake.machine.simd import add, double, fma, high, join, load, low, mul, rounded, splat, store, sub
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,10 @@ def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, parts, p_star, amplitudes,
             store(y, i, 0, splat(0.0, y))
         kernels.convection(ops.nodes, ops.inverse, e, y)
         kernels.convection(ops.curved_nodes, ops.curved_inverse, e, y)
+        kernels.push(ops.force_rows, ops.force_loads, amplitudes, s, y)
         _read_residual(ops, s, parts, amplitudes, readings)
 
-        # increment of the velocity (eq. 9): boundary values, then the free nodes
+        # increment of the velocity (eq. 9): boundary values, then the free nodes, those that slip last
         for i in range(len(ops.fixed)):
             g = join(splat(ops.fixed[i, 0], amplitudes), splat(ops.fixed[i, 1], amplitudes))
             store(y, nf + i, 0, rounded(sub(g, _ahead(ahead, u, u_old, nf + i)), y))
@@ -62,7 +63,7 @@ def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, parts, p_star, amplitudes,
                 x, z = fma(ops.input_profile[j, k, 0], q, x), fma(ops.input_profile[j, k, 1], q, z)
             store(y, i, 0, rounded(sub(join(x, z), _ahead(ahead, u, u_old, i)), y))
         kernels.subtract_rows(ops.coupling_rows, *ops.coupling[:], y, y)
-        kernels.solve(*ops.momentum[:], y)
+        kernels.solve_held(*ops.momentum[:], ops.slip[0], ops.slip[1], e, y)
 
         # velocity at t + dt, and what the next step starts from
         u, u_old = u_old, u
@@ -78,7 +79,7 @@ def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, parts, p_star, amplitudes,
         kernels.solve(*ops.poisson[:], phi)
         for i in range(mf):
             store(p, i, 0, add(load(p, i, 0), double(load(phi, i, 0))))
-        _read_increments(ops, s, parts, p, p_star, readings)
+        _read_increments(ops, s, parts, u, p, p_star, readings)
     return u, u_old, phi, phi_old
 
 
@@ -100,9 +101,10 @@ def _read_residual(ops, s, parts, amplitudes, readings):
 
 
 @kernel
-def _read_increments(ops, s, parts, p, p_star, readings):
-    """What the increments of velocity and pressure add to the readings, which are then scaled to coefficients."""
+def _read_increments(ops, s, parts, u, p, p_star, readings):
+    """What the increments, and the new velocity, add to the readings, which are then scaled to coefficients."""
     (start, column, value), (p_start, p_column, p_value) = ops.increment, ops.read_pressure
+    u_start, u_column, u_value = ops.read_velocity
     for r in range(len(ops.scale)):
         f = load(readings, s, r)
         for k in range(start[r], start[r + 1]):
@@ -110,6 +112,9 @@ def _read_increments(ops, s, parts, p, p_star, readings):
         for k in range(p_start[r], p_start[r + 1]):
             i = p_column[k]
             f = fma(p_value[k], sub(load(p, i, 0), double(load(p_star, i, 0))), f)
+        for k in range(u_start[r], u_start[r + 1]):
+            new = load(u, u_column[k], 0)
+            f = fma(u_value[k, 0], low(new), fma(u_value[k, 1], high(new), f))
         store(readings, s, r, mul(ops.scale[r], f))
 
 

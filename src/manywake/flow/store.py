@@ -85,7 +85,7 @@ def flow(case: Case, progress: Progress | None = None) -> Flow:
     with _assembling:
         if key not in _flows:
             base = get(case, progress)
-            _flows[key] = Flow(case, baseline.assemble(case, problem.pose(case, base.mesh), base.mean), base)
+            _flows[key] = Flow(case, baseline.assemble(case, problem.pose(case, base.mesh), *base.advecting), base)
             while len(_flows) > KEPT:
                 _flows.popitem(last=False)
         _flows.move_to_end(key)

@@ -50,7 +50,7 @@ class Control:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Every solver step of B flows: series of readings by name (steps, B), amplitudes (steps, inputs, B).
+    """Every solver step of B flows: series of readings by name (steps, B), amplitudes (steps, actuators, B).
 
     rewards: (actions, B). ends: the final states.
     """
@@ -115,12 +115,20 @@ def _plain(control: Control) -> dict[str, Any]:
 
 
 def play(
-    flow: Flow, task: Task, choose: Callable[[int, np.ndarray], np.ndarray], starts: list[Start], actions: int
+    flow: Flow,
+    task: Task,
+    choose: Callable[[int, np.ndarray], np.ndarray],
+    starts: list[Start],
+    actions: int,
+    first: int = 0,
 ) -> Trajectory:
-    """Run a controller from each start for a number of actions, without reset; choose as in `control.drive`."""
+    """Run a controller from each start for a number of actions, without reset; choose as in `control.drive`.
+
+    first: seed of the first start's episode; those of the others follow.
+    """
     flows = ControlledFlows(flow, task, len(starts))
     for column, start in enumerate(starts):
-        flows.reset([column], start)
+        flows.reset([column], [first + column], start)
     outcomes = [step.outcome for step in drive(flows, choose, actions)]
     return Trajectory(
         {name: np.concatenate([outcome.series[name] for outcome in outcomes]) for name in outcomes[0].series},
@@ -130,9 +138,9 @@ def play(
     )
 
 
-def _play_policy(simulation: Any, policy: Policy, starts: list[Start], actions: int) -> Trajectory:
+def _play_policy(simulation: Any, policy: Policy, starts: list[Start], actions: int, first: int) -> Trajectory:
     """Play in a worker; simulation: `flows.Flows`, as it was shared."""
-    return play(simulation.flow, simulation.task, lambda t, seen: policies.act(policy, seen), starts, actions)
+    return play(simulation.flow, simulation.task, lambda t, seen: policies.act(policy, seen), starts, actions, first)
 
 
 def control(base: Baseline, limits: np.ndarray, part: Trajectory, column: int) -> Control:
@@ -171,8 +179,8 @@ def evaluate(shared: Any, flow: Flow, task: Task, policy: Policy, engine: Engine
     """
     base, actions, share = flow.baseline, LONG_RUN * task.actions, -(-PHASES // engine.slots)
     starts = baseline.phases(flow.operators, base, PHASES)
-    spread = [starts[k : k + share] for k in range(0, PHASES, share)]
-    futures = [engine.submit(_play_policy, shared, policy, some, actions) for some in spread]
+    spread = [(starts[k : k + share], k) for k in range(0, PHASES, share)]
+    futures = [engine.submit(_play_policy, shared, policy, some, actions, first) for some, first in spread]
     parts = [future.result() for future in futures]
     trajectory = Trajectory(
         {name: np.concatenate([part.series[name] for part in parts], axis=1) for name in parts[0].series},

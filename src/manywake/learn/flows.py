@@ -53,6 +53,7 @@ class Flows(Simulation):
     def play(self, driving: Sequence[Policy], contexts: list[Context]) -> list[Episode]:
         count, policy_seconds, begin = len(contexts), 0.0, time.perf_counter()
         flows = ControlledFlows(self.flow, self.task, count)
+        flows.reset(range(count), [context.seed for context in contexts])
         noise = np.stack([context.noise for context in contexts], axis=1)
         which = np.stack([context.which for context in contexts], axis=1)
         log_probs: list[np.ndarray] = []

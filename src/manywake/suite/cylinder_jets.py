@@ -20,7 +20,7 @@ CASE = Case(
     conditions=(NoSlip("bottom", "top"), Parabola("left", mean=1.0), Outflow("right")),
     actuators=(Jet("cylinder.top", limit=0.01), Jet("cylinder.bottom", limit=0.01)),
     sensors=(Pressure("pressure", PROBES), Velocity("velocity", PROBES)),
-    sizes=Sizes(body=0.048, layers=3, layer_height=0.034, wake=0.155, wake_axis=0.005, far=0.8),
+    sizes=Sizes(wake_axis=0.005),
     scheme=BDF2_MEAN,
     time_step=1e-3,
 )
@@ -68,5 +68,12 @@ REFERENCES = (
     Statistic("DFG 2D-2 c_L max", "c_l max", 0.9866, 0.015, LEVEL_6),
     Statistic("DFG 2D-2 St", "St", 0.3018, 0.005, LEVEL_6),
     Steady("steady base flow C_D", "c_d", 2.942, 0.005, "Newton, converged in the mesh"),
-    Forced((0.001, 0.004), ((0.003, 2.5, 1), (0.003, 3.6, 4)), tolerance=0.02, duration=12.0, settle=4.0),
+    Forced(
+        tuple(sign * q for q in (0.001, 0.004, 0.006, 0.008, 0.01) for sign in (1, -1)),
+        ((0.003, 2.5, 1), (0.003, 3.6, 4)),
+        tolerance=0.02,
+        floor=1e-4,
+        duration=16.0,
+        settle=6.0,
+    ),
 )

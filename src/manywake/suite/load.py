@@ -1,7 +1,7 @@
 """Cases by name or by file, with single settings overridden: strings become objects here.
 
-A case file has CASE and TASK. It may have REWARDS (name -> function), LEARNING, PROTOCOLS (name -> (Task, Learning))
-and REFERENCES.
+A case file has CASE, and TASK if anything is to be learnt. It may have REWARDS (name -> function), LEARNING, PROTOCOLS
+(name -> (Task, Learning)) and REFERENCES.
 """
 
 import dataclasses
@@ -20,7 +20,10 @@ import docstring_parser
 
 from manywake import suite
 from manywake.case import door
+from manywake.case import references as given
+from manywake.case import task as tasks
 from manywake.case.case import Case
+from manywake.case.inputs import Input
 from manywake.case.laws import Held, Law, Linear
 from manywake.case.learning import Learning
 from manywake.case.references import Reference
@@ -34,7 +37,7 @@ DEFAULT = "cylinder-jets"
 class Definition:
     """What a case file says. file: its path, None for a case made in Python. content: what the file held.
 
-    protocols: task and learner's settings by name; "default" is TASK and LEARNING.
+    protocols: task and learner's settings by name; "default" is TASK and LEARNING, and absent without a TASK.
     """
 
     name: str
@@ -54,7 +57,17 @@ class Definition:
         """Whether it comes with the package, so that its name is enough to find it again."""
         return self.file is not None and self.file.parent == Path(__file__).parent
 
+    @property
+    def task(self) -> Task | None:
+        """The task of the default protocol, None where there is none."""
+        return self.protocols["default"][0] if "default" in self.protocols else None
+
     def protocol(self, name: str) -> tuple[Task, Learning]:
+        if not self.protocols or name == "default" and self.task is None:
+            raise ValueError(
+                f"task: got none in {self.file}, wanted TASK = Task(...) to train, evaluate or play with; "
+                "validate and baseline do without"
+            )
         if name not in self.protocols:
             raise ValueError(f"protocol: got {name!r}, wanted one of {', '.join(self.protocols)}")
         return self.protocols[name]
@@ -80,7 +93,7 @@ def names() -> list[str]:
 def load(case: str | Path | Case, task: Task | None = None) -> Definition:
     """Return a shipped case by its name, a user's by the path of its file, or one made in Python with its task.
 
-    Raises ValueError when there is no such case, when the file is missing, does not run, or lacks CASE or TASK.
+    Raises ValueError when there is no such case, when the file is missing, does not run, or lacks a CASE.
     """
     if isinstance(case, Case):
         if task is None:
@@ -108,15 +121,18 @@ def load(case: str | Path | Case, task: Task | None = None) -> Definition:
 
 def _definition(name: str, said: Mapping[str, Any], path: Path, content: bytes) -> Definition:
     for word, kind in (("CASE", Case), ("TASK", Task)):
-        if not isinstance(said.get(word), kind):
+        if not isinstance(said.get(word), kind) and (word in said or kind is Case):
             got = type(said[word]).__name__ if word in said else "nothing"
             raise ValueError(f"case: {path} has {got} as {word}, wanted {word} = {kind.__name__}(...)")
-    task, case = said["TASK"], said["CASE"]
-    protocols = {"default": (task, said.get("LEARNING", Learning())), **said.get("PROTOCOLS", {})}
+    task, case = said.get("TASK"), said["CASE"]
+    default = {} if task is None else {"default": (task, said.get("LEARNING", Learning()))}
+    protocols = {**default, **said.get("PROTOCOLS", {})}
     for word, both in protocols.items():
         if not isinstance(both, tuple) or [type(part) for part in both] != [Task, Learning]:
             raise ValueError(f"case: {path} has {both!r} as the protocol {word!r}, wanted (Task(...), Learning(...))")
-    rewards, references = said.get("REWARDS", {_name(task.reward): task.reward}), tuple(said.get("REFERENCES", ()))
+    rewards = said.get("REWARDS", {} if task is None else {_name(task.reward): task.reward})
+    references = tuple(said.get("REFERENCES", ()))
+    given.check(case, references)
     return Definition(name, case, protocols, rewards, references, path, content)
 
 
@@ -133,7 +149,8 @@ def choose(case: str | Path | Case, task: Task | str | None = None, **overrides:
     if task is None or isinstance(task, str):
         return override(load(case), task or "default", overrides)
     definition = load(case, task)
-    protocols = {**definition.protocols, "default": (task, definition.protocol("default")[1])}
+    learning = definition.protocol("default")[1] if definition.task is not None else Learning()
+    protocols = {**definition.protocols, "default": (task, learning)}
     return override(replace(definition, protocols=protocols), "default", overrides)
 
 
@@ -143,20 +160,36 @@ def override(definition: Definition, protocol: str, overrides: Mapping[str, Any]
     Beside those names every field of `Case`, `Task` and `Learning` can be given as an object.
     """
     task, learning = definition.protocol(protocol)
-    owners: dict[type, Any] = {Case: definition.case, Task: task, Learning: learning}
+    laws = _laws(definition, task)
+    known = {*settings(definition, protocol), *(name for law in laws.values() for name in _fields(law, "law."))}
+    words = {"scheme": SCHEMES, "reward": definition.rewards, "law": laws}
+    case, task, learning = _replaced((definition.case, task, learning), known, words, overrides)
+    door.check(case, task)
+    return Chosen(definition, case, task, learning, protocol, dict(overrides))
+
+
+def override_case(definition: Definition, overrides: Mapping[str, Any]) -> Case:
+    """Return the case of a definition, which may have no task, with single settings of the flow overridden."""
+    known = set(case_settings(definition.case))
+    return _replaced((definition.case,), known, {"scheme": SCHEMES}, overrides)[0]
+
+
+def _replaced(
+    given: tuple[Any, ...], known: set[str], words: Mapping[str, Mapping[str, Any]], overrides: Mapping[str, Any]
+) -> list[Any]:
+    """Return data classes with settings overridden. known: names beside fields. words: what strings stand for."""
+    owners: dict[type, Any] = {type(owner): owner for owner in given}
     of = {f.name: kind for kind in owners for f in dataclasses.fields(kind)}
-    of_laws = {name for law in _laws(definition, task).values() for name in _fields(law, "law.")}
-    known = {*of, *settings(definition, protocol), *of_laws}
     changed: dict[type, dict[str, Any]] = {kind: {} for kind in owners}  # replaced at once: some depend on each other
     for name, value in sorted(overrides.items(), key=lambda item: "." in item[0]):  # a whole, then parts of it
-        if name not in known:
-            raise ValueError(f"got the setting {name!r}, wanted one of {', '.join(sorted(known))}")
+        if name not in {*of, *known}:
+            raise ValueError(f"got the setting {name!r}, wanted one of {', '.join(sorted({*of, *known}))}")
         head, _, tail = name.partition(".")
         field = {"limit": "actuators", "points": "sensors"}.get(head, head)
         now = changed[of[field]].get(field, getattr(owners[of[field]], field))
-        value = _object(definition, task, name, value)
+        value = _object(words.get(name), name, value)
         if head == "limit":
-            value = tuple(replace(a, limit=value) if tail in ("", a.on) else a for a in now)
+            value = tuple(_limited(a, value) if tail in ("", a.on) else a for a in now)
         elif head == "points":
             points = tuple((float(x), float(y)) for x, y in value)
             value = tuple(replace(s, points=points) if s.name == tail else s for s in now)
@@ -165,14 +198,17 @@ def override(definition: Definition, protocol: str, overrides: Mapping[str, Any]
                 raise ValueError(f"{name}: got {value!r}, wanted none, as {type(now).__name__} has no {tail}")
             value = replace(now, **{tail: value})
         changed[of[field]][field] = value
-    case, task, learning = (replace(owner, **changed[kind]) for kind, owner in owners.items())
-    door.check(case, task)
-    return Chosen(definition, case, task, learning, protocol, dict(overrides))
+    return [replace(owner, **changed[kind]) for kind, owner in owners.items()]
 
 
-def _object(definition: Definition, task: Task, name: str, value: Any) -> Any:
+def _limited(actuator: Input, limit: float) -> Input:
+    """Return an actuator with another limit, made for the strength that it was if that is enough."""
+    kept = actuator.strongest if limit <= actuator.strongest else None
+    return replace(actuator, limit=limit, strength=kept)
+
+
+def _object(by_name: Mapping[str, Any] | None, name: str, value: Any) -> Any:
     """Return what a string stands for: a scheme, a reward or a law by its name."""
-    by_name = {"scheme": SCHEMES, "reward": definition.rewards, "law": _laws(definition, task)}.get(name)
     if by_name is None or not isinstance(value, str):
         return value
     if value not in by_name:
@@ -197,23 +233,31 @@ class Setting:
 
 def settings(definition: Definition, protocol: str = "default") -> dict[str, Setting]:
     """Return every single setting of a case's flow and task by name; those of the learner are fields of `Learning`."""
-    case, (task, _) = definition.case, definition.protocol(protocol)
+    task, _ = definition.protocol(protocol)
     reward = next((name for name, reward in definition.rewards.items() if reward is task.reward), _name(task.reward))
+    found = case_settings(definition.case)
+    found |= _fields(task, "", ("interval", "actions", "observe", "reward", "law", "starts"))
+    found |= _fields(task.law, "law.")
+    found["reward"] = Setting(reward, tuple(definition.rewards), "What is rewarded, of what the case's file has.")
+    laws, found["starts"] = tuple(_laws(definition, task)), replace(found["starts"], type=tasks.STARTS)
+    found["law"] = replace(found["law"], value=type(task.law).__name__.lower(), type=laws)
+    return found
+
+
+def case_settings(case: Case) -> dict[str, Setting]:
+    """Return every single setting of a case's flow by name."""
     points = tuple[tuple[float, float], ...]
     found = _fields(case, "", ("reynolds", "spin_up", "time_step", "scheme")) | _fields(case.sizes, "sizes.")
     found["time_step"] = replace(found["time_step"], value=case.dt, type=float)
     found["scheme"] = replace(found["scheme"], value=case.scheme.name, type=tuple(SCHEMES))
     for a in case.actuators:
         found[f"limit.{a.on}"] = Setting(a.limit, float, f"Largest amplitude of {a.on} ({a.unit}).")
-    found["limit"] = Setting(None, float | None, "Largest amplitude of every actuator.")
+    if case.actuators:
+        found["limit"] = Setting(None, float | None, "Largest amplitude of every actuator.")
     for s in case.sensors:
         found[f"points.{s.name}"] = Setting(
             s.points, points, f"Points (x, y) of the sensor {s.name}, in the case's unit of length."
         )
-    found |= _fields(task, "", ("interval", "actions", "observe", "reward", "law")) | _fields(task.law, "law.")
-    found["reward"] = Setting(reward, tuple(definition.rewards), "What is rewarded, of what the case's file has.")
-    laws = tuple(_laws(definition, task))
-    found["law"] = replace(found["law"], value=type(task.law).__name__.lower(), type=laws)
     return found
 
 
