@@ -3,6 +3,7 @@
 import numpy as np
 import scipy.sparse as sp
 import skfem
+from scipy.spatial import cKDTree
 from skfem.helpers import dot, grad
 
 from manywake.flow.kernels import CORNER
@@ -104,6 +105,15 @@ def clean(matrix: sp.spmatrix) -> sp.csr_matrix:
 def probe_matrix(basis: skfem.CellBasis, points: np.ndarray) -> sp.csr_matrix:
     """Return the matrix (points, nodes) that interpolates a nodal vector at points (k, 2)."""
     return clean(basis.probes(points.T))
+
+
+def carried(space: Space, u: np.ndarray, p: np.ndarray, to: Space) -> tuple[np.ndarray, np.ndarray]:
+    """Return a flow, u (n, 2) and p (m,), on another mesh: a refined one, or the one that this one is refined from."""
+    l = np.array([(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)]) / 4  # where the nodes of quarters are
+    quadratic = np.hstack([l * (2 * l - 1), 4 * l * l[:, [1, 2, 0]]])
+    _, near = cKDTree((quadratic @ space.x[space.nodes]).reshape(-1, 2)).query(to.x)
+    pressure = (p[space.nodes[:, :3]] @ l.T).ravel()
+    return (quadratic @ u[space.nodes]).reshape(-1, 2)[near], pressure[near[: len(to.mesh.points)]]
 
 
 def advection(space: Space, velocity: np.ndarray) -> sp.csr_matrix:
