@@ -120,7 +120,9 @@ class Runs:
     def _steady(self, reynolds: float | None) -> SteadyFlow:
         re = reynolds or self.case.reynolds
         said = f"Re {re:g}, "
-        return steady.solve(replace(self.case, reynolds=re), self.posed, lambda what, share: self.report(said + what, share))
+        return steady.solve(
+            replace(self.case, reynolds=re), self.posed, lambda what, share: self.report(said + what, share)
+        )
 
     def _batch(self, time_step: float | None, start: Start | None = None) -> FlowBatch:
         """Return one flow at some time step, from a start at that step, else from the start state."""
