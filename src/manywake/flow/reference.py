@@ -120,7 +120,9 @@ class Runs:
     def _steady(self, reynolds: float | None) -> SteadyFlow:
         re = reynolds or self.case.reynolds
         self.report(f"steady flow, Re {re:g}", 0.0)
-        return steady.solve(replace(self.case, reynolds=re), self.posed)
+        found = steady.solve(replace(self.case, reynolds=re), self.posed)
+        self.report(f"steady flow, Re {re:g}", 1.0)
+        return found
 
     def _batch(self, time_step: float | None, start: Start | None = None) -> FlowBatch:
         """Return one flow at some time step, from a start at that step, else from the start state."""
