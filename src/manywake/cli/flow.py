@@ -98,7 +98,7 @@ class Validate(OnCase):
         table = Table("quantity", "ours", "reference", "tolerance", "pass", "source", title=f"validate {self.case}")
         for check in checks:
             passed = "" if check.kind == "reported" else "[green]yes[/]" if check.passed else "[red]NO[/]"
-            within = {"relative": f"{check.tolerance:.2%}", "absolute": f"{check.tolerance:.3g}"}
+            within = {"relative": f"{100 * check.tolerance:.3g}%", "absolute": f"{check.tolerance:.3g}"}
             values = f"{check.ours:.6g}", f"{check.reference:.6g}", within.get(check.kind, check.kind)
             table.add_row(check.name, *values, passed, check.source)
         Console().print(table)

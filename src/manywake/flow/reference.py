@@ -119,10 +119,10 @@ class Runs:
 
     def _steady(self, reynolds: float | None) -> SteadyFlow:
         re = reynolds or self.case.reynolds
-        said = f"Re {re:g}, "
-        return steady.solve(
-            replace(self.case, reynolds=re), self.posed, lambda what, share: self.report(said + what, share)
-        )
+        self.report(f"steady flow, Re {re:g}", 0.0)
+        found = steady.solve(replace(self.case, reynolds=re), self.posed)
+        self.report(f"steady flow, Re {re:g}", 1.0)
+        return found
 
     def _batch(self, time_step: float | None, start: Start | None = None) -> FlowBatch:
         """Return one flow at some time step, from a start at that step, else from the start state."""
