@@ -256,7 +256,7 @@ FILES = {
     ),
     "a limit that is not given": (
         file(actuators='Jet("cylinder.top")', mixing="None"),
-        "Jet: got the limit inf, wanted a positive number",
+        "Jet: got the limit inf, wanted a finite one, of which actions are shares",
     ),
     "a gust on a body": (
         file(actuators='Gust("cylinder", 0.1)', mixing="None"),

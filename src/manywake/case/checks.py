@@ -171,7 +171,9 @@ def _check_inputs(case: Any) -> None:
     for actuator in case.actuators:
         kind, most = type(actuator).__name__, _most(case, actuator)
         if not actuator.limit < math.inf:
-            raise ValueError(f"{kind}: got the limit {actuator.limit:g}, wanted a positive number")
+            raise ValueError(
+                f"{kind}: got the limit {actuator.limit:g}, wanted a finite one, of which actions are shares"
+            )
         if actuator.limit > most:
             raise ValueError(f"{kind}: got the limit {actuator.limit:g}, {_wanted(most, actuator)}")
     for noise in case.disturbances:
