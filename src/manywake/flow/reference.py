@@ -119,10 +119,8 @@ class Runs:
 
     def _steady(self, reynolds: float | None) -> SteadyFlow:
         re = reynolds or self.case.reynolds
-        self.report(f"steady flow, Re {re:g}", 0.0)
-        found = steady.solve(replace(self.case, reynolds=re), self.posed)
-        self.report(f"steady flow, Re {re:g}", 1.0)
-        return found
+        told = replace(self.case, reynolds=re)
+        return steady.solve(told, self.posed, lambda what, share: self.report(f"Re {re:g}, {what}", share))
 
     def _batch(self, time_step: float | None, start: Start | None = None) -> FlowBatch:
         """Return one flow at some time step, from a start at that step, else from the start state."""
