@@ -40,6 +40,8 @@ class Sizes:
     """Height y of the wake's axis, in the case's unit of length; the bodies' middle when not given."""
     far: float = 1.0
     """Length of the sides far from the bodies, in L."""
+    walls: float | None = None
+    """Length of the sides at the domain's sides of given velocity, in L; as far away when not given."""
 
 
 @dataclass(frozen=True)

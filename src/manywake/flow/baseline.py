@@ -17,6 +17,7 @@ from manywake.flow.operators import Operators
 from manywake.flow.problem import Problem
 from manywake.flow.spinup import FreeFlows, Progress
 from manywake.flow.stability import Withstood
+from manywake.flow.steady import SteadyFlow
 from manywake.flow.statistics import Kind, Statistics
 from manywake.machine import disk
 
@@ -106,7 +107,7 @@ def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None)
     report("mesh", 0.0)
     posed = problem.pose(case, meshes.build(case) if mesh is None else mesh)
     base = steady.solve(case, posed, report)
-    found, mean, states, recipe = _street(case, posed, base.u, report)
+    found, mean, states, recipe = _street(case, posed, base, report)
     mean, states = _single(mean), [_rounded(state) for state in states]
     report("fluctuation", 0.0)
     largest = _fluctuation(case, posed, mean, states, found)
@@ -122,15 +123,16 @@ def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None)
     return Baseline(*digests, posed.space.mesh, starts, mean, largest, free, still, tried, recipe)
 
 
-def _street(case: Case, posed: Problem, still: np.ndarray, report: Progress):
+def _street(case: Case, posed: Problem, base: SteadyFlow, report: Progress):
     """Spin up about the steady flow, at half or a quarter of the step where the whole one blows up.
 
     Returns the period if there is one, the mean flow (n, 2), the last states, and how that was done.
     """
+    still = None if case.bodies else Start(base.u, base.u, base.p, *np.zeros((2, len(base.p))))
     for parts in (1, 2, 4):
         chosen = replace(case, time_step=case.dt / parts)
-        ops = assemble(chosen, posed, still)
-        flows = FreeFlows(chosen, ops, spinup.kicks(case, ops), still)
+        ops = assemble(chosen, posed, base.u)
+        flows = FreeFlows(chosen, ops, spinup.kicks(case, ops, still), base.u)
         try:
             kind, record = spinup.settle(flows, case.spin_up, report, "spin-up")
             break
@@ -138,7 +140,7 @@ def _street(case: Case, posed: Problem, still: np.ndarray, report: Progress):
             if parts == 4:
                 raise
     period = statistics.period(record[flows.clock][:, 0], ops.time_step) if kind == "periodic" else None
-    mean = still
+    mean = base.u
     if kind != "steady":
         over = MEAN_PERIODS * period if period else AVERAGED * case.convective_time
         mean = spinup.average(flows, over, report, "mean flow")

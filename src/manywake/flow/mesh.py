@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from manywake.case.case import Case
+from manywake.case.conditions import Free
 from manywake.case.geometry import Body, Circle, Piece, distance, outline
 from manywake.machine import disk
 
@@ -166,6 +167,9 @@ class SizeField:
     def __init__(self, case: Case):
         size, L = case.sizes, case.scales.length
         self.sizes, self.length, self.bodies = size, L, []
+        given = {name for c in case.conditions if not isinstance(c, Free) for name in c.on}
+        walls = [side for side in case.domain.sides() if side.name in given] if size.walls else []
+        self.walls = [np.array([side.start, side.end]) for side in walls]
         height = L * size.layer_height * float((size.layer_growth ** np.arange(size.layers)).sum())
         for body in case.bodies:
             bare, ring = outline(body), outline(body, height, 180)
@@ -177,6 +181,8 @@ class SizeField:
 
     def __call__(self, x: float, y: float) -> float:
         size, L, least = self.sizes, self.length, self.sizes.far * self.length
+        for wall in self.walls:
+            least = min(least, (size.walls or size.far) * L + 0.14 * distance(wall, np.array([[x, y]]))[0])
         if not self.bodies:
             return least
         for centre, back, ring, facets in self.bodies:

@@ -131,10 +131,10 @@ def apart(record: dict[str, np.ndarray]) -> list[int]:
     return kept
 
 
-def kicked(case: Case, ops: Operators, strength: float) -> Start:
+def kicked(case: Case, ops: Operators, strength: float, still: Start | None = None) -> Start:
     """Return fluid at rest but for a gust behind the bodies, upwards if positive, so that shedding sets in at once.
 
-    Without bodies it is in the middle of the domain. strength: in units of U.
+    strength: in units of U. still: the flow that is kicked in the place of rest, amid the domain if it has no bodies.
     """
     (x, y), length = ops.space.x.T, case.scales.length
     if case.bodies:
@@ -148,12 +148,13 @@ def kicked(case: Case, ops: Operators, strength: float) -> Start:
     u = np.stack([np.zeros_like(x), gust], axis=1)
     u[ops.velocity_order[ops.free :]] = 0.0
     u[ops.slip] = 0.0
-    return Start(u, u.copy(), *np.zeros((3, len(ops.pressure_order))))
+    rest = still or Start(np.zeros_like(u), np.zeros_like(u), *np.zeros((3, len(ops.pressure_order))))
+    return replace(rest, u=rest.u + u, u_old=rest.u_old + u)
 
 
-def kicks(case: Case, ops: Operators) -> list[Start]:
+def kicks(case: Case, ops: Operators, still: Start | None = None) -> list[Start]:
     """Return `FLOWS` kicked starts, each before its mirror."""
-    return [kicked(case, ops, sign * strength) for strength in KICKS for sign in (1.0, -1.0)]
+    return [kicked(case, ops, sign * strength, still) for strength in KICKS for sign in (1.0, -1.0)]
 
 
 def rescaled(start: Start, ratio: float) -> Start:
