@@ -13,11 +13,11 @@ CASE = replace(
     cylinder_jets.CASE,
     bodies=(Circle("cylinder", (0.0, 0.0), R),),
     conditions=(NoSlip("bottom", "top", "left"), Outflow("right")),
-    actuators=(Gust("left", 1.0, Parabola(mean=1.0)),),
+    actuators=(Gust("left", 0.01, Parabola(mean=1.0)),),  # the references drive it to 1
     sensors=(),
-    sizes=Sizes(wake_axis=0.005, body=0.03),
+    sizes=Sizes(wake_axis=0.005, body=0.03, wake=0.085, far=0.5),
     scheme=BDF2,
-    time_step=5e-4,
+    time_step=2.5e-4,
     spin_up=40,
 )
 
