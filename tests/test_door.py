@@ -100,7 +100,10 @@ FILES = {
     "a file that imports what there is not": ("import no_such_module\n", "line 1, fails (ModuleNotFoundError"),
     "a file without a case": ("x = 1\n", "mine.py has nothing as CASE, wanted CASE = Case(...)"),
     "a file whose case is none": ("CASE = 100\n", "mine.py has int as CASE, wanted CASE = Case(...)"),
-    "a file without a task": (file(below="del TASK"), "mine.py has nothing as TASK, wanted TASK = Task(...)"),
+    "a file without a task": (
+        file(below="del TASK"),
+        "mine.py, wanted TASK = Task(...) to train, evaluate or play with; validate and baseline do without",
+    ),
     "a task that is none": (file(below="TASK = reward"), "mine.py has function as TASK, wanted TASK = Task(...)"),
     "a protocol that is none": (
         file(below='PROTOCOLS = {"long": TASK}'),
@@ -145,7 +148,7 @@ FILES = {
     ),
     "bodies that overlap": (
         file(bodies='Circle("front", (0.0, 0.0), 0.05), Circle("cylinder", (0.08, 0.0), 0.05)'),
-        "body 'cylinder': overlaps 'front' or its layers, wanted 0.0259",
+        "body 'cylinder': overlaps 'front' or its layers, wanted 0.0270984 between them",
     ),
     "a body within another": (
         file(bodies='Circle("front", (0.0, 0.0), 0.05), Circle("cylinder", (0.0, 0.0), 0.01)'),
@@ -250,6 +253,14 @@ FILES = {
         file(actuators='Jet("cylinder.top", limit=0.06)'),
         "Jet: got the limit 0.06, wanted at most 0.0555556, at which 'cylinder.top' moves the fluid 10 times as fast",
     ),
+    "a strength below the limit": (
+        file(actuators='Jet("cylinder.top", limit=0.01, strength=0.005)', mixing="None"),
+        "Jet: got the strength 0.005, wanted a finite one, at least the limit 0.01",
+    ),
+    "a strength without end": (
+        file(actuators='Jet("cylinder.top", limit=0.01, strength=float("inf"))', mixing="None"),
+        "Jet: got the strength inf, wanted a finite one, at least the limit 0.01",
+    ),
     "a rotation past all measure": (
         file(actuators='Rotation("cylinder", limit=201.0)'),
         "Rotation: got the limit 201, wanted at most 200, at which 'cylinder' moves the fluid 10 times as fast",
@@ -323,7 +334,7 @@ FILES = {
     # ---- disturbances
     "a disturbance without noise": (
         noise('BodyForce("push", 1.0, at=(0.2, 0.0), radius=0.05)'),
-        "disturbances: got BodyForce(on='push', limit=1.0, at=(0.2, 0.0), radius=0.05, along=(1.0, 0.0)), wanted Noise",
+        "strength=None, at=(0.2, 0.0), radius=0.05, along=(1.0, 0.0)), wanted Noise(...) of it, with rms and time",
     ),
     "a disturbance on an actuator": (
         noise('Noise(Jet("cylinder.top"), rms=0.001, time=0.1)'),
@@ -489,8 +500,8 @@ def test_a_file_is_refused(row, tmp_path):
     ("case", "message"),
     [
         ("nowhere.py", "case: got nowhere.py, which is no file, wanted the path of a case file"),
-        ("nowhere/", "case: got 'nowhere/', wanted one of cylinder-jets, cylinder-jets-goda, or the path of a .py"),
-        ("sphere", "case: got 'sphere', wanted one of cylinder-jets, cylinder-jets-goda, or the path of a .py file"),
+        ("nowhere/", f"case: got 'nowhere/', wanted one of {', '.join(load.names())}, or the path of a .py file"),
+        ("sphere", f"case: got 'sphere', wanted one of {', '.join(load.names())}, or the path of a .py file"),
         (CASE, "task: got none, wanted task=Task(...) beside a case that is made in Python"),
     ],
 )

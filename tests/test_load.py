@@ -13,21 +13,22 @@ from manywake.learn import flows
 from manywake.learn.engine import Processes, Threads
 from manywake.learn.policy import Policy
 from manywake.learn.rollout import context
-from manywake.suite import cylinder_jets, load
+from manywake.suite import cylinder_jets, cylinder_jets_goda, load
 from manywake.suite.cylinder_jets import CASE, LEARNING, PROTOCOLS, REWARDS, TASK
 
+PAPERS = ("cylinder-jets", "cylinder-jets-goda")
 TOP, BOTTOM = CASE.actuators
 PRESSURE, VELOCITY = CASE.sensors
 
 
 def test_the_shipped_cases_have_names():
-    assert load.names() == ["cylinder-jets", "cylinder-jets-goda"]
+    assert load.names() == [*PAPERS, "free-cylinder-jets", "free-cylinder-rotation", "wide-cylinder"]
     for name in load.names():
         definition = load.load(name)
         assert definition.name == name and definition.shipped
         assert definition.sha256 == hashlib.sha256(definition.file.read_bytes()).hexdigest()
     goda = load.load("cylinder-jets-goda").case
-    assert goda == replace(CASE, scheme=GODA, time_step=5e-4)
+    assert goda == replace(CASE, scheme=GODA, time_step=5e-4, sizes=cylinder_jets_goda.SIZES)
 
 
 def test_a_case_without_a_word_is_as_its_file_says():
@@ -49,7 +50,7 @@ def test_a_protocol_is_task_and_learner_s_settings(protocol):
 
 
 @pytest.mark.parametrize("protocol", ["default", *PROTOCOLS])
-@pytest.mark.parametrize("name", load.names())
+@pytest.mark.parametrize("name", PAPERS)
 def test_every_setting_has_a_sentence_and_the_value_of_the_file(name, protocol):
     definition = load.load(name)
     task = definition.protocol(protocol)[0]
@@ -60,7 +61,7 @@ def test_every_setting_has_a_sentence_and_the_value_of_the_file(name, protocol):
         *("reynolds", "spin_up", "time_step", "scheme", "limit", "limit.cylinder.top", "limit.cylinder.bottom"),
         *(f"sizes.{part}" for part in ("body", "part_facets", "layers", "layer_height", "layer_growth")),
         *("sizes.wake", "sizes.wake_axis", "sizes.far", "points.pressure", "points.velocity"),
-        *("interval", "actions", "observe", "reward", "law"),
+        *("interval", "actions", "observe", "reward", "law", "starts"),
         *(("law.alpha", "law.per") if isinstance(task.law, Exponential) else ()),
     }
     assert found["reynolds"].value == 100
@@ -71,6 +72,11 @@ def test_every_setting_has_a_sentence_and_the_value_of_the_file(name, protocol):
     assert found["law"].value == type(task.law).__name__.lower()
 
 
+def limited(jet: Jet, limit: float) -> Jet:
+    """Return a jet with a smaller limit, which has the baseline that it had."""
+    return replace(jet, limit=limit, strength=jet.limit)
+
+
 POINTS = [[0.3, 0.0], (0.4, 0.05)]
 OVERRIDES = {
     "reynolds": (120.0, "case", {"reynolds": 120.0}),
@@ -78,8 +84,8 @@ OVERRIDES = {
     "spin_up": (80.0, "case", {"spin_up": 80.0}),
     "sizes.body": (0.06, "case", {"sizes": replace(CASE.sizes, body=0.06)}),
     "sizes.wake_axis": (None, "case", {"sizes": replace(CASE.sizes, wake_axis=None)}),
-    "limit": (0.005, "case", {"actuators": (Jet("cylinder.top", 0.005), Jet("cylinder.bottom", 0.005))}),
-    "limit.cylinder.top": (0.005, "case", {"actuators": (Jet("cylinder.top", 0.005), BOTTOM)}),
+    "limit": (0.005, "case", {"actuators": (limited(TOP, 0.005), limited(BOTTOM, 0.005))}),
+    "limit.cylinder.top": (0.005, "case", {"actuators": (limited(TOP, 0.005), BOTTOM)}),
     "points.pressure": (POINTS, "case", {"sensors": (Pressure("pressure", ((0.3, 0.0), (0.4, 0.05))), VELOCITY)}),
     "sensors": ((PRESSURE,), "case", {"sensors": (PRESSURE,)}),
     "interval": (0.05, "task", {"interval": 0.05}),
@@ -105,12 +111,19 @@ def test_a_setting_is_overridden_by_its_name_and_no_other_changes(name):
     assert chosen.overrides == {name: value}
 
 
+@pytest.mark.parametrize("limit, strength", [(0.002, 0.01), (0.01, 0.01), (0.012, 0.012)])
+def test_a_smaller_limit_shares_the_baseline_and_a_larger_one_has_its_own(limit, strength):
+    case = load.choose("cylinder-jets", limit=limit).case
+    assert [(jet.limit, jet.strongest) for jet in case.actuators] == [(limit, strength)] * 2
+    assert (describe.flow_digest(case) == describe.flow_digest(CASE)) == (limit <= 0.01)
+
+
 def test_what_a_word_stands_for_can_be_given_itself():
     reward = lambda now, free: -now["power"]  # noqa: E731
     chosen = load.choose("cylinder-jets", law=Held(), reward=reward)
     assert chosen.task == replace(TASK, law=Held(), reward=reward)
     named = load.choose("cylinder-jets-goda", scheme="bdf2-mean", reward="drag", law="linear", interval=0.05)
-    assert named.case == replace(CASE, time_step=5e-4)
+    assert named.case == replace(CASE, time_step=5e-4, sizes=cylinder_jets_goda.SIZES)
     assert named.task == replace(TASK, reward=REWARDS["drag"], law=Linear(), interval=0.05)
 
 
@@ -118,7 +131,7 @@ def test_what_a_word_stands_for_can_be_given_itself():
 def test_a_part_is_set_after_the_whole_in_whichever_order_they_are_named(turn):
     words = {"limit": 0.005, "limit.cylinder.top": 0.002, "law": Exponential(0.5, per=1e-3), "law.alpha": 0.2}
     chosen = load.choose("cylinder-jets", **dict(list(words.items())[::turn]))
-    assert chosen.case.actuators == (Jet("cylinder.top", 0.002), Jet("cylinder.bottom", 0.005))
+    assert chosen.case.actuators == (limited(TOP, 0.002), limited(BOTTOM, 0.005))
     assert chosen.task.law == Exponential(0.2, per=1e-3)
 
 
@@ -128,7 +141,7 @@ def test_a_part_is_set_after_the_whole_in_whichever_order_they_are_named(turn):
 def test_a_case_made_in_python_is_chosen_with_its_task():
     case, task = replace(CASE, reynolds=120), replace(TASK, reward=REWARDS["drag"])
     chosen = load.choose(case, task, actions=40, **{"limit.cylinder.top": 0.005})
-    assert chosen.case == replace(case, actuators=(Jet("cylinder.top", 0.005), BOTTOM))
+    assert chosen.case == replace(case, actuators=(limited(TOP, 0.005), BOTTOM))
     assert (chosen.task, chosen.learning) == (replace(task, actions=40), Learning())
     definition = chosen.definition
     assert (definition.name, definition.file, definition.sha256, definition.shipped) == ("python", None, None, False)

@@ -179,6 +179,11 @@ def _check_inputs(case: Any) -> None:
             )
         if actuator.limit > most:
             raise ValueError(f"{kind}: got the limit {actuator.limit:g}, {_wanted(most, actuator)}")
+        if not actuator.limit <= actuator.strongest < math.inf:
+            raise ValueError(
+                f"{kind}: got the strength {actuator.strongest:g}, wanted a finite one, at least the limit "
+                f"{actuator.limit:g}"
+            )
     for noise in case.disturbances:
         _check_noise(case, noise)
 
