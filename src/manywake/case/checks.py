@@ -33,7 +33,9 @@ def check(case: Any) -> None:
 def _check_numbers(case: Any) -> None:
     numbers = {"reynolds": case.reynolds, "spin_up": case.spin_up}
     numbers |= {f"scales.{name}": value for name, value in vars(case.scales).items()}
-    numbers |= {f"sizes.{name}": value for name, value in vars(case.sizes).items() if name != "wake_axis" and value is not None}
+    numbers |= {
+        f"sizes.{name}": value for name, value in vars(case.sizes).items() if name != "wake_axis" and value is not None
+    }
     for name, value in numbers.items():
         if not (0 < value < math.inf):
             raise ValueError(f"{name}: got {value:g}, wanted a positive number")

@@ -27,6 +27,8 @@ AVERAGED = 200.0
 """Time over which a flow that is not periodic is averaged, in L / U."""
 PHASES = 4
 """Start states of a periodic flow, evenly spread over a period from an upward crossing of the lift on."""
+SPIN_UPS = ((1, "rest"), (2, "rest"), (2, "the steady flow"), (4, "the steady flow"))
+"""How a spin-up is tried, one after the other where it blows up: parts that the time step is cut into, and from what."""
 _NUMBERS = ("flow_digest", "geometry_digest", "steady", "recipe")
 
 
@@ -124,27 +126,28 @@ def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None)
 
 
 def _street(case: Case, posed: Problem, base: SteadyFlow, report: Progress):
-    """Spin up about the steady flow, at half or a quarter of the step where the whole one blows up.
+    """Spin up about the steady flow: from rest, or from that flow and at a smaller step where the spin-up blows up.
 
     Returns the period if there is one, the mean flow (n, 2), the last states, and how that was done.
     """
-    still = None if case.bodies else Start(base.u, base.u, base.p, *np.zeros((2, len(base.p))))
-    for parts in (1, 2, 4):
+    still = Start(base.u, base.u, base.p, *np.zeros((2, len(base.p))))
+    for parts, begin in SPIN_UPS if case.bodies else [(parts, "the steady flow") for parts, _ in SPIN_UPS]:
         chosen = replace(case, time_step=case.dt / parts)
         ops = assemble(chosen, posed, base.u)
-        flows = FreeFlows(chosen, ops, spinup.kicks(case, ops, still), base.u)
+        kicks = spinup.kicks(case, ops, None if begin == "rest" else still)
+        flows = FreeFlows(chosen, ops, kicks, base.u)
         try:
             kind, record = spinup.settle(flows, case.spin_up, report, "spin-up")
             break
         except spinup.BlewUp:
-            if parts == 4:
+            if (parts, begin) == SPIN_UPS[-1]:
                 raise
     period = statistics.period(record[flows.clock][:, 0], ops.time_step) if kind == "periodic" else None
     mean = base.u
     if kind != "steady":
         over = MEAN_PERIODS * period if period else AVERAGED * case.convective_time
         mean = spinup.average(flows, over, report, "mean flow")
-    recipe = f"format {FORMAT}; {flows.flows} flows from kicked rests, {case.scheme.name} in steps of {chosen.dt:g}"
+    recipe = f"format {FORMAT}; {flows.flows} flows from {begin}, kicked, {case.scheme.name} in steps of {chosen.dt:g}"
     return period, mean, [spinup.rescaled(state, parts) for state in flows.states()], recipe
 
 
