@@ -42,7 +42,7 @@ def _check_numbers(case: Any) -> None:
     most, which = (TRIED, "with") if case.bodies else (TRIED_EMPTY, "without")
     if case.reynolds > most:
         raise ValueError(
-            f"reynolds: got {case.reynolds:g}, wanted a value in (0, {most:g}]; flows {which} bodies were not tried above"
+            f"reynolds: got {case.reynolds:g}, wanted a value in (0, {most:g}]; above none {which} bodies was tried"
         )
     largest = case.scheme.largest * case.convective_time
     if not 0 < case.dt <= largest * (1 + 1e-9):

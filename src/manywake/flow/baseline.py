@@ -17,8 +17,8 @@ from manywake.flow.operators import Operators
 from manywake.flow.problem import Problem
 from manywake.flow.spinup import FreeFlows, Progress
 from manywake.flow.stability import Withstood
-from manywake.flow.steady import SteadyFlow
 from manywake.flow.statistics import Kind, Statistics
+from manywake.flow.steady import SteadyFlow
 from manywake.machine import disk
 
 FORMAT = 3
@@ -28,7 +28,7 @@ AVERAGED = 200.0
 PHASES = 4
 """Start states of a periodic flow, evenly spread over a period from an upward crossing of the lift on."""
 SPIN_UPS = ((1, "rest"), (2, "rest"), (2, "the steady flow"), (4, "the steady flow"))
-"""How a spin-up is tried, one after the other where it blows up: parts that the time step is cut into, and from what."""
+"""How a spin-up is tried, one way after another where it blows up: parts that the step is cut into, and from what."""
 _NUMBERS = ("flow_digest", "geometry_digest", "steady", "recipe")
 
 
@@ -131,7 +131,8 @@ def _street(case: Case, posed: Problem, base: SteadyFlow, report: Progress):
     Returns the period if there is one, the mean flow (n, 2), the last states, and how that was done.
     """
     still = Start(base.u, base.u, base.p, *np.zeros((2, len(base.p))))
-    for parts, begin in SPIN_UPS if case.bodies else [(parts, "the steady flow") for parts, _ in SPIN_UPS]:
+    ways = SPIN_UPS if case.bodies else dict.fromkeys((parts, "the steady flow") for parts, _ in SPIN_UPS)
+    for parts, begin in ways:
         chosen = replace(case, time_step=case.dt / parts)
         ops = assemble(chosen, posed, base.u)
         kicks = spinup.kicks(case, ops, None if begin == "rest" else still)
