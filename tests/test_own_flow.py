@@ -78,7 +78,7 @@ def test_the_page_s_commands_work_on_the_page_s_file(page):
     assert again.returncode == 0, again.stderr
     described = command(page, "baseline", "--case", "turning.py", "--spin-up", "60", "--json")
     assert described.returncode == 0, described.stderr
-    assert json.loads(described.stdout.splitlines()[-1])["triangles"] == 3364  # the shipped mesh
+    assert json.loads(described.stdout.splitlines()[-1])["triangles"] == 3695  # the shipped mesh
     shown = command(page, "train", "--case", "turning.py", "--help")
     text = " ".join(shown.stdout.replace("│", " ").split())
     assert "--limit.cylinder FLOAT" in text and "(angular velocity, counter-clockwise positive)" in text
