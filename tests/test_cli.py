@@ -80,8 +80,11 @@ def test_baseline_describes_the_shipped_case():
     done = manywake("baseline", "--json")
     assert done.returncode == 0, done.stderr
     numbers = json.loads(done.stdout.splitlines()[-1])
-    assert numbers["cd_mean"] == pytest.approx(3.1959, rel=5e-3)
-    assert numbers["steady c_d"] == pytest.approx(2.942, rel=5e-3)
+    assert numbers["c_d mean"] == pytest.approx(3.1959, rel=5e-3)
+    assert numbers["c_d steady"] == pytest.approx(2.942, rel=5e-3)
+    assert numbers["St"] == pytest.approx(0.3018, rel=5e-3)
+    assert (numbers["kind"], numbers["start states"]) == ("periodic", 4)
+    assert numbers["cylinder.top withstood, held"] == numbers["cylinder.top withstood, smooth"] == 0.01
 
 
 @pytest.mark.parametrize(

@@ -109,6 +109,14 @@ class FlowBatch:
             found[name][order] = lanes
         return Start(**found)
 
+    def velocity(self, column: int) -> np.ndarray:
+        """Return a copy of one flow's velocity, (n, 2), that of its `state`."""
+        b, lane = self._columns[column]
+        lanes = simd.numbers(self._blocks[b].u)[..., lane]
+        found = np.empty(lanes.shape)
+        found[self.ops.velocity_order] = lanes
+        return found
+
     def _parts(self, b: int, lane: int) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
         """Yield the fields of one flow by name, (n, 2) or (m,) in the solver's order, and that order."""
         for name, array in vars(self._blocks[b]).items():

@@ -45,6 +45,9 @@ class FreeFlows:
     def states(self) -> list[Start]:
         return [self.batch.state(column) for column in range(self.flows)]
 
+    def velocities(self) -> list[np.ndarray]:
+        return [self.batch.velocity(column) for column in range(self.flows)]
+
     def advance(self, steps: int) -> dict[str, np.ndarray]:
         """Return the readings (steps, B) by name; without bodies, how unsteady the flow is too."""
         record = free_run(self.batch, steps)
@@ -69,7 +72,7 @@ class FreeFlows:
 
     def _unsteadiness(self) -> np.ndarray:
         mass, area = self.ops.space.mass, self.ops.space.velocity.dx.sum()
-        off = [state.u - self.steady for state in self.states()]
+        off = [u - self.steady for u in self.velocities()]
         return np.array([np.sqrt(np.sum(u * (mass @ u)) / area) for u in off]) / self.case.scales.velocity
 
 
@@ -169,6 +172,6 @@ def average(flows: FreeFlows, duration: float, report: Progress, what: str) -> n
     total = np.zeros_like(flows.steady)
     for k in range(samples):
         flows.advance(_SAMPLE)
-        total += sum(state.u for state in flows.states()) / flows.flows
+        total += sum(flows.velocities()) / flows.flows
         report(what, (k + 1) / samples)
     return total / samples

@@ -130,7 +130,7 @@ def fluctuation(
     for amplitudes in waves.series(ops.time_step, every, _share(case, ops.time_step)):
         batch.advance(batch.disturbed(amplitudes))
         for column in range(batch.flows):
-            np.maximum(largest, np.linalg.norm(batch.state(column).u - mean, axis=1), out=largest)
+            np.maximum(largest, np.linalg.norm(batch.velocity(column) - mean, axis=1), out=largest)
     return largest
 
 
