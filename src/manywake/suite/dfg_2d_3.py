@@ -1,4 +1,4 @@
-"""The DFG benchmark 2D-3: the channel's cylinder in a stream that swells and stops, sin(pi t / 8); for the solver alone.
+"""The DFG benchmark 2D-3: the channel's cylinder in a stream that swells and stops, sin(pi t / 8), for the solver.
 
 Units as in cylinder-jets: 10 D for lengths, 10 D/U for times. Re 100 is reached at t = 4.
 """
