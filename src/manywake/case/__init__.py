@@ -5,7 +5,7 @@
 
 from dataclasses import replace
 
-from manywake.case.case import Case, Scales, Sizes
+from manywake.case.case import Case, Near, Scales, Sizes
 from manywake.case.conditions import FreeSlip, NoSlip, Outflow, Parabola, Stream
 from manywake.case.geometry import Box, Circle, Outline, Polygon, Smooth, grid, ring
 from manywake.case.inputs import BodyForce, Gust, Jet, Noise, Rotation
@@ -17,7 +17,7 @@ from manywake.case.sensors import Pressure, Velocity
 from manywake.case.task import PAIR, Task, alike, balanced, pairs, twice_the_worst
 
 __all__ = [
-    "Case", "Scales", "Sizes", "replace",
+    "Case", "Near", "Scales", "Sizes", "replace",
     "FreeSlip", "NoSlip", "Outflow", "Parabola", "Stream",
     "Box", "Circle", "Outline", "Polygon", "Smooth", "grid", "ring",
     "Jet", "Rotation", "Gust", "BodyForce", "Noise",

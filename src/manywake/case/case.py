@@ -20,6 +20,22 @@ class Scales:
     """U, the mean inflow velocity, say."""
 
 
+@dataclass(frozen=True, init=False)
+class Near:
+    """Sides of the domain near which triangles are smaller: Near("lid", "left", size=0.01, growth=0.1)."""
+
+    on: tuple[str, ...]
+    """Names of sides."""
+    size: float
+    """Length of the triangles' sides there, in L."""
+    growth: float
+    """By how much they are longer for every length away from there."""
+
+    def __init__(self, *on: str, size: float, growth: float):
+        for name, value in {"on": on, "size": size, "growth": growth}.items():
+            object.__setattr__(self, name, value)
+
+
 @dataclass(frozen=True)
 class Sizes:
     """Sizes of the triangles, in units of the case's length. The defaults resolve the wake of a cylinder at Re 100."""
@@ -40,8 +56,8 @@ class Sizes:
     """Height y of the wake's axis, in the case's unit of length; the bodies' middle when not given."""
     far: float = 1.0
     """Length of the sides far from the bodies, in L."""
-    walls: float | None = None
-    """Length of the sides at the domain's sides of given velocity, in L; as far away when not given."""
+    near: tuple[Near, ...] = ()
+    """Sides of the domain near which triangles are smaller."""
 
 
 @dataclass(frozen=True)

@@ -33,9 +33,10 @@ def check(case: Any) -> None:
 def _check_numbers(case: Any) -> None:
     numbers = {"reynolds": case.reynolds, "spin_up": case.spin_up}
     numbers |= {f"scales.{name}": value for name, value in vars(case.scales).items()}
-    numbers |= {
-        f"sizes.{name}": value for name, value in vars(case.sizes).items() if name != "wake_axis" and value is not None
-    }
+    sizes = {name: value for name, value in vars(case.sizes).items() if name not in ("wake_axis", "near")}
+    numbers |= {f"sizes.{name}": value for name, value in sizes.items()}
+    for near in case.sizes.near:
+        numbers |= {f"sizes.near {', '.join(near.on)}: {name}": getattr(near, name) for name in ("size", "growth")}
     for name, value in numbers.items():
         if not (0 < value < math.inf):
             raise ValueError(f"{name}: got {value:g}, wanted a positive number")
@@ -66,6 +67,9 @@ def _check_names(case: Any) -> None:
     for name in names:
         if not name or "." in name and name not in sides:
             raise ValueError(f"body {name!r}: wanted a name without a dot, which parts a body from its piece")
+    for name in (name for near in case.sizes.near for name in near.on):
+        if name not in sides:
+            raise ValueError(f"sizes.near: got {name!r}, wanted a side of the domain, of {', '.join(sorted(sides))}")
     pieces = [piece.name for body in case.bodies for piece in body.pieces()]
     forces = [given.on for given in case.inputs if given.acts == "fluid"]
     for name in (*names, *pieces, *sensors, *forces):

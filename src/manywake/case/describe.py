@@ -34,7 +34,10 @@ def plain(value: Any) -> Any:
 
 def case(chosen: Case) -> dict[str, Any]:
     """Return all that a case says."""
-    return plain(chosen)
+    data = plain(chosen)
+    if not chosen.sizes.near:  # what has none keeps the hash that it had before there was any
+        del data["sizes"]["near"]
+    return data
 
 
 def task(chosen: Case, task: Task) -> dict[str, Any]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from manywake.case.case import Case
-from manywake.case.conditions import Free
 from manywake.case.geometry import Body, Circle, Piece, distance, outline
 from manywake.machine import disk
 
@@ -167,9 +166,12 @@ class SizeField:
     def __init__(self, case: Case):
         size, L = case.sizes, case.scales.length
         self.sizes, self.length, self.bodies = size, L, []
-        given = {name for c in case.conditions if not isinstance(c, Free) for name in c.on}
-        walls = [side for side in case.domain.sides() if side.name in given] if size.walls else []
-        self.walls = [np.array([side.start, side.end]) for side in walls]
+        self.near = [
+            (near, np.array([side.start, side.end]))
+            for near in size.near
+            for side in case.domain.sides()
+            if side.name in near.on
+        ]
         height = L * size.layer_height * float((size.layer_growth ** np.arange(size.layers)).sum())
         for body in case.bodies:
             bare, ring = outline(body), outline(body, height, 180)
@@ -181,8 +183,8 @@ class SizeField:
 
     def __call__(self, x: float, y: float) -> float:
         size, L, least = self.sizes, self.length, self.sizes.far * self.length
-        for wall in self.walls:
-            least = min(least, (size.walls or size.far) * L + 0.14 * distance(wall, np.array([[x, y]]))[0])
+        for near, side in self.near:
+            least = min(least, near.size * L + near.growth * distance(side, np.array([[x, y]]))[0])
         if not self.bodies:
             return least
         for centre, back, ring, facets in self.bodies:

@@ -12,7 +12,7 @@ CASE = Case(
         (("floor", 0, -0.5), ("outlet", LONG, -0.5), ("ceiling", LONG, 0.5), ("inlet", 0, 0.5), ("face", 0, 0))
     ),
     conditions=(NoSlip("floor", "ceiling", "face"), Parabola("inlet", mean=1.0), Outflow("outlet")),
-    sizes=Sizes(far=0.12, walls=0.06),
+    sizes=Sizes(far=0.25, near=(Near("inlet", "face", size=0.04, growth=0.01),)),
     time_step=0.01,
     spin_up=40,
 )

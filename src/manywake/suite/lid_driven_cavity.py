@@ -6,7 +6,7 @@ CASE = Case(
     reynolds=1000,
     domain=Box(x=(0, 1), y=(0, 1)),
     conditions=(Stream("top"), NoSlip("left", "right", "bottom")),  # the corners are at rest: nothing leaks
-    sizes=Sizes(far=0.05, walls=0.02),
+    sizes=Sizes(far=0.05, near=(Near("top", "left", "bottom", "right", size=0.02, growth=0.14),)),
     time_step=0.005,
     spin_up=40,
 )
