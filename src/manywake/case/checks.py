@@ -12,7 +12,7 @@ from manywake.case.inputs import Noise
 
 CLEAR = 1.002
 """Points keep this factor away from a body, in its own radii: its facets are parabolas, a little off the curve."""
-TRIED, TRIED_EMPTY = 500.0, 1000.0
+TRIED, TRIED_EMPTY = 400.0, 1000.0
 """Largest Reynolds number of the flows that were validated, with bodies and without (`suite`)."""
 FASTEST = 10.0
 """Largest velocity of an input, in the case's units; the time steps that a scheme allows are not stable far above."""

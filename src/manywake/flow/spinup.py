@@ -66,7 +66,10 @@ class FreeFlows:
             record.append(self.advance(min(chunk, steps - at)))
             if not all(np.isfinite(series[-1]).all() for series in record[-1].values()):
                 time = done * unit + (at + chunk) * dt
-                raise BlewUp(f"baseline: the flow blew up by time {time:g} of its {what}; halve the time step {dt:g}")
+                raise BlewUp(
+                    f"baseline: the flow blew up by time {time:g} of its {what}; halve the time step {dt:g}. Past Re "
+                    "300 a wake may come back in through an Outflow and blow up whatever the step: lower reynolds"
+                )
             report(what, min((done + duration * min((at + chunk) / steps, 1.0)) / (of or duration), 1.0))
         return readings.joined(record)
 

@@ -170,9 +170,10 @@ def _step(equations: _Equations, factor, residual: np.ndarray) -> np.ndarray:
 
 
 def _relative(equations: _Equations, step: np.ndarray, x: np.ndarray) -> float:
-    """Return the largest change of velocity by the largest velocity, or that of pressure if it is larger."""
+    """Return the largest change of velocity or pressure by the largest of it, of the pressure at least U squared."""
     (du, dp), (u, p) = (np.split(np.abs(part), [2 * equations.n]) for part in (step, x))
-    return float(max(du.max() / max(u.max(), 1e-300), dp.max() / max(p.max(), 1e-300)))
+    speed = max(u.max(), 1e-150)  # a flow at rest changes by nothing
+    return float(max(du.max() / speed, dp.max() / max(p.max(), speed**2)))
 
 
 def _length(equations: _Equations, step: np.ndarray) -> float:
