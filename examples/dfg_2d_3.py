@@ -1,3 +1,4 @@
+# ruff: noqa: F403, F405
 """The DFG benchmark 2D-3: the channel's cylinder in a stream that swells and stops, sin(pi t / 8), for the solver.
 
 Units as in cylinder-jets: 10 D for lengths, 10 D/U for times. Re 100 is reached at t = 4. Run it with
@@ -6,7 +7,7 @@ manywake validate --case examples/dfg_2d_3.py (some ten minutes). The largest li
 
 import math
 
-from manywake import *  # noqa: F403 - the words that case files are written in
+from manywake import *
 from manywake.suite import cylinder_jets
 from manywake.suite.cylinder_jets import R
 
