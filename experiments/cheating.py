@@ -36,9 +36,9 @@ LABELS = {
 
 
 def wanted(setup: Setup) -> dict[str, list[Training]]:
-    strong: dict[str, Any] = {"reward": "drag-offset", "limit": STRONG_RATE}
-    if not setup.miniature:
-        strong["time_step"] = STRONG_STEP
+    strong: dict[str, Any] = {"reward": "drag-offset"}
+    if not setup.miniature:  # which has a start state of its own
+        strong |= {"limit": STRONG_RATE, "time_step": STRONG_STEP}
     biased = trainings.by_protocol(setup, "cheating", "no penalty", 0, EPISODES, **strong)
     return {"penalty": synced.group(setup)["20"][:1], "no penalty": [biased]}
 
