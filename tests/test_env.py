@@ -375,7 +375,7 @@ def test_actions_of_the_wrong_shape_are_refused(shape):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"case": "sphere"}, "case: got 'sphere', wanted one of cylinder-jets"),
+        ({"case": "sphere"}, "case: got 'sphere', wanted one of channel, cylinder-jets"),
         ({"task": "easy"}, "protocol: got 'easy', wanted one of default, paper, code"),
         ({"smoothing": 0.1}, r"got the setting 'smoothing', wanted one of .*law\.alpha"),
         ({"reward": "money"}, "reward: got 'money', wanted one of reduction, paper"),

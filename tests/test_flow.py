@@ -566,7 +566,7 @@ def test_a_case_outside_what_the_solver_can_do_is_refused(setting, message):
 
 
 def test_an_unknown_case_is_refused_with_the_known_ones():
-    with pytest.raises(ValueError, match="got 'cylinder', wanted one of cylinder-jets, cylinder-jets-goda"):
+    with pytest.raises(ValueError, match="got 'cylinder', wanted one of channel, cylinder-jets, cylinder-jets-goda"):
         load.load("cylinder")
 
 
