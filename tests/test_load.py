@@ -22,7 +22,8 @@ PRESSURE, VELOCITY = CASE.sensors
 
 
 def test_the_shipped_cases_have_names():
-    assert load.names() == [*PAPERS, "free-cylinder-jets", "free-cylinder-rotation", "wide-cylinder"]
+    free = ["free-cylinder-jets", "free-cylinder-rotation"]
+    assert load.names() == ["channel", *PAPERS, *free, "gartling-step", "lid-driven-cavity", "wide-cylinder"]
     for name in load.names():
         definition = load.load(name)
         assert definition.name == name and definition.shipped
