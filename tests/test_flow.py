@@ -14,7 +14,6 @@ from manywake.case import (
     Box,
     Circle,
     FreeSlip,
-    Jet,
     Noise,
     NoSlip,
     Outflow,
@@ -292,11 +291,17 @@ def test_probes_beside_the_round_cylinder_read_linear_fields_exactly(tiny):
 def test_velocity_is_nearly_free_of_divergence(ops, base):
     space = ops.space
     u, v = (space.velocity.interpolate(base.start.u[:, c]) for c in range(2))
-    dx = space.velocity.dx
-    divergence = np.sqrt(np.sum((u.grad[0] + v.grad[1]) ** 2 * dx))
-    gradient = np.sqrt(np.sum(sum(g**2 for field in (u, v) for g in (field.grad[0], field.grad[1])) * dx))
-    # P2/P1 velocities are free of divergence on average only; the steady flow, which is so exactly, has a ratio of 0.03
-    assert divergence < 0.08 * gradient
+    gradient = sum(g**2 for field in (u, v) for g in (field.grad[0], field.grad[1]))
+    divergence, x = (u.grad[0] + v.grad[1]) ** 2, np.asarray(space.velocity.global_coordinates())[0]
+
+    def share(part):
+        dx = np.where(part, space.velocity.dx, 0.0)
+        return np.sqrt(np.sum(divergence * dx) / np.sum(gradient * dx))
+
+    # P2/P1 velocities are free of divergence on average only; the mean flow has a share of 0.03. Measured 0.077 to
+    # 0.086 over a period, most of it behind x = 1, where triangles grow to 0.1; 0.024 by the body and its near wake
+    assert share(x < np.inf) < 0.09
+    assert share(x < 0.5) < 0.03
     # tested against the pressure functions it vanishes with the pressure increment, eq. 10
     inner = ops.pressure_order[: len(ops.tables.poisson.inverse_diagonal)]
     weak = sum(space.divergence[c] @ base.start.u[:, c] for c in range(2))[inner]
@@ -326,11 +331,18 @@ def test_gradient_form_gives_the_whole_force_but_for_the_divergence(shipped, ops
 
 
 def test_what_flows_in_flows_out(ops, base):
-    inlet, _ = problem.boundary_flux(ops.space, ops.space.facets("left"), base.start.u)
-    outlet, _ = problem.boundary_flux(ops.space, ops.space.facets("right"), base.start.u)
-    assert inlet == pytest.approx(0.41, rel=1e-12)
-    # continuity is not tested by the outlet's own pressure functions, where p = 0 stands instead: eq. 10
-    assert outlet == pytest.approx(-0.41, rel=4e-3)
+    def flux(side, u):
+        return problem.boundary_flux(ops.space, ops.space.facets(side), u)[0]
+
+    flow, u = FlowBatch(ops, base.start, 1), base.start.u
+    assert flux("left", u) == pytest.approx(0.41, rel=1e-7)  # it is kept in singles, and a double two steps on
+    for _ in range(12):
+        flow.advance(np.zeros((30, 2, 1)))
+        u = flow.state(0).u
+        assert flux("left", u) == pytest.approx(0.41, rel=1e-12)
+        # continuity is not tested by the outlet's own pressure functions, where p = 0 stands instead: eq. 10
+        assert flux("right", u) == pytest.approx(-0.41, rel=1.5e-2)
+    assert flux("right", base.mean) == pytest.approx(-0.41, rel=2e-3)
 
 
 # ---- jets
@@ -433,7 +445,7 @@ def test_the_mirrored_flow_has_the_mirrored_lift_and_torque(shipped, ops, base, 
     boundaries = {swapped.get(name, name): facets for name, facets in mesh.boundaries.items()}
     curves = meshes.curves(mirrored, list(boundaries))
     flipped = Mesh(mesh.points * [1, -1], mesh.triangles[:, [0, 2, 1]], boundaries, curves)
-    other = in_singles(mirrored, flipped, base.mean * [1, -1])
+    other = in_singles(mirrored, flipped, base.mean * [1, -1], base.fluctuation)
     # scikit-fem numbers nodes by their vertices, so a mirrored mesh has the same numbers
     np.testing.assert_array_equal(other.space.x * [1, -1], ops.space.x)
     start = dataclasses.replace(base.start, u=base.start.u * [1, -1], u_old=base.start.u_old * [1, -1])
@@ -448,10 +460,11 @@ def test_the_mirrored_flow_has_the_mirrored_lift_and_torque(shipped, ops, base, 
 
 
 def test_operators_are_reproducible(shipped, ops, base):
-    again = in_singles(shipped.case, base.mesh, base.mean)
+    again = in_singles(shipped.case, base.mesh, *base.advecting)
     assert again.digest == ops.digest
-    other = in_singles(dataclasses.replace(shipped.case, time_step=4e-4), base.mesh, base.mean)
-    assert other.digest != ops.digest
+    shorter = in_singles(dataclasses.replace(shipped.case, time_step=4e-4), base.mesh, *base.advecting)
+    undamped = in_singles(shipped.case, base.mesh, base.mean)
+    assert len({ops.digest, shorter.digest, undamped.digest}) == 3
 
 
 def test_probes_read_the_field_at_their_points(shipped, ops, base):
@@ -494,7 +507,7 @@ def test_shedding_finds_mean_peaks_and_period_of_a_known_signal():
 
 def test_shedding_of_a_short_signal_is_refused():
     t = np.arange(400) * 5e-4
-    with pytest.raises(ValueError, match="got 0 crossings of the lift, wanted at least 3"):
+    with pytest.raises(ValueError, match="got 1 crossings of the lift, wanted at least 3"):
         statistics.uncontrolled({"c_l": np.sin(2 * np.pi * t / 0.331)[:, None]}, "c_l", 5e-4, "periodic")
 
 
@@ -570,9 +583,9 @@ def test_an_unknown_case_is_refused_with_the_known_ones():
         load.load("cylinder")
 
 
-def test_flow_digest_ignores_sensors_and_limits_only():
+def test_flow_digest_ignores_sensors_and_limits_below_the_strengths_only():
     one = dataclasses.replace(CASE, time_step=5e-4)
-    weaker = (Jet("cylinder.top", limit=0.005), Jet("cylinder.bottom", limit=0.005))
+    weaker = tuple(dataclasses.replace(jet, limit=0.005, strength=0.01) for jet in CASE.actuators)
     same = dataclasses.replace(one, **points((0.1, 0.0)), actuators=weaker)
     assert flow_digest(same) == flow_digest(one)
     moved = Circle("cylinder", (0.0, 0.0), RADIUS, parts={"top": (75, 85), "bottom": (265, 275)})
@@ -586,6 +599,7 @@ def test_flow_digest_ignores_sensors_and_limits_only():
         {"disturbances": (noise,)},
         {"disturbances": (dataclasses.replace(noise, rms=2.0),)},
         {"disturbances": (dataclasses.replace(noise, by=dataclasses.replace(noise.by, limit=2.0)),)},
+        {"actuators": tuple(dataclasses.replace(jet, strength=0.005, limit=0.005) for jet in CASE.actuators)},
     ):
         known.add(flow_digest(dataclasses.replace(one, **other)))
-    assert len(known) == 8
+    assert len(known) == 9

@@ -312,7 +312,6 @@ def held_up(level: int, time_step: float, scheme=BDF2) -> tuple[float, float]:
         steady=rest,
         pressure_fixed=np.array([0]),
         functionals=(),
-        bells=np.zeros((0, 4)),
         inputs=names,
         profiles=np.zeros((4, *rest.shape)),
         flux_error=np.zeros(4),
@@ -383,7 +382,7 @@ def test_a_gaussian_force_is_where_and_as_large_as_it_says(closed):
 
 
 def test_the_momentum_that_a_fluid_gains_is_the_force_on_it_less_what_walls_take(closed):
-    ops = baseline.assemble(CLOSED, closed, None, np.float64)
+    ops = baseline.assemble(CLOSED, closed, None, precision=np.float64)
     space, dt, (load,), (b1, b2) = closed.space, CLOSED.dt, closed.loads, BDF2.pressure
     flow, taken = FlowBatch(ops, at_rest(ops), 1), [ops.functionals.index(f"walls {c}") for c in range(2)]
     for q in 0.5 * np.sin(0.3 * np.arange(40)):

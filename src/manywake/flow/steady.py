@@ -27,7 +27,7 @@ FEW, MOST = 4, 10
 SHORTEST = 1 / 16
 """Share of Newton's step below which the line search gives up."""
 TOLERANCE, ON_THE_WAY = 1e-9, 1e-4
-"""Change of velocity or pressure, by the largest, at which Newton's method ends: at the last flow, and before."""
+"""Relative change of velocity or pressure at which Newton's method ends: at the last flow, and before."""
 Report = Callable[[str, float], None]
 Branch = list[tuple[float, np.ndarray]]
 """Flows (u, v, p) by the logarithm of their Reynolds number: the last three."""
@@ -170,9 +170,13 @@ def _step(equations: _Equations, factor, residual: np.ndarray) -> np.ndarray:
 
 
 def _relative(equations: _Equations, step: np.ndarray, x: np.ndarray) -> float:
-    """Return the largest change of velocity by the largest velocity, or that of pressure if it is larger."""
+    """Return the largest change of velocity by the largest velocity, or that of pressure if it is larger.
+
+    A pressure that is small beside u^2 is compared with that: where there is none it is rounding.
+    """
     (du, dp), (u, p) = (np.split(np.abs(part), [2 * equations.n]) for part in (step, x))
-    return float(max(du.max() / max(u.max(), 1e-300), dp.max() / max(p.max(), 1e-300)))
+    fastest = max(u.max(), 1e-300)
+    return float(max(du.max() / fastest, dp.max() / max(p.max(), fastest**2)))
 
 
 def _length(equations: _Equations, step: np.ndarray) -> float:
