@@ -113,15 +113,16 @@ def edges(mesh, side):
     return np.stack([along[:-1], along[1:]], axis=1)
 
 
-def test_the_seed_draws_the_start_and_nothing_else_does(base):
+def test_the_seed_draws_the_start_and_nothing_else_does():
     batch = FlowVectorEnv(6, starts="any")
     first, _ = batch.reset(seed=3)
     assert len(np.unique(first, axis=0)) > 1
     for k in range(6):
         single, _ = FlowEnv(starts="any").reset(seed=3 + k)
         np.testing.assert_array_equal(single, first[k])
-    drawn = [ControlledFlows(batch._flows.flow, batch.task, 1)._start(seed) for seed in range(64)]
-    counts = [sum(start is one for start in drawn) for one in base.starts]
+    flow = batch._flows.flow
+    drawn = [ControlledFlows(flow, batch.task, 1)._start(seed) for seed in range(64)]
+    counts = [sum(start is one for start in drawn) for one in flow.baseline.starts]
     assert sum(counts) == 64 and min(counts) >= 6
     one, _ = FlowVectorEnv(6).reset(seed=3)
     assert len(np.unique(one, axis=0)) == 1

@@ -11,7 +11,7 @@ from manywake.suite.cylinder_jets import CASE
 made = []
 case = dataclasses.replace(CASE, time_step=6e-4, spin_up=30.0)
 base = store.get(case, lambda what, share: made.append(what))
-print(base.digest(), len(made) > 0, base.statistics.periods)
+print(base.digest(), len(made) > 0, base.statistics.kind)
 """
 
 

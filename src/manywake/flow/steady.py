@@ -27,7 +27,7 @@ FEW, MOST = 4, 10
 SHORTEST = 1 / 16
 """Share of Newton's step below which the line search gives up."""
 TOLERANCE, ON_THE_WAY = 1e-9, 1e-4
-"""Change of velocity or pressure, by the largest, at which Newton's method ends: at the last flow, and before."""
+"""Relative change of velocity or pressure at which Newton's method ends: at the last flow, and before."""
 Report = Callable[[str, float], None]
 Branch = list[tuple[float, np.ndarray]]
 """Flows (u, v, p) by the logarithm of their Reynolds number: the last three."""
@@ -170,10 +170,20 @@ def _step(equations: _Equations, factor, residual: np.ndarray) -> np.ndarray:
 
 
 def _relative(equations: _Equations, step: np.ndarray, x: np.ndarray) -> float:
+<<<<<<< HEAD
     """Return the largest change of velocity or pressure by the largest of it, of the pressure at least U squared."""
     (du, dp), (u, p) = (np.split(np.abs(part), [2 * equations.n]) for part in (step, x))
     speed = max(u.max(), 1e-150)  # a flow at rest changes by nothing
     return float(max(du.max() / speed, dp.max() / max(p.max(), speed**2)))
+=======
+    """Return the largest change of velocity by the largest velocity, or that of pressure if it is larger.
+
+    A pressure that is small beside u^2 is compared with that: where there is none it is rounding.
+    """
+    (du, dp), (u, p) = (np.split(np.abs(part), [2 * equations.n]) for part in (step, x))
+    fastest = max(u.max(), 1e-300)
+    return float(max(du.max() / fastest, dp.max() / max(p.max(), fastest**2)))
+>>>>>>> w-tests
 
 
 def _length(equations: _Equations, step: np.ndarray) -> float:
