@@ -170,20 +170,10 @@ def _step(equations: _Equations, factor, residual: np.ndarray) -> np.ndarray:
 
 
 def _relative(equations: _Equations, step: np.ndarray, x: np.ndarray) -> float:
-<<<<<<< HEAD
     """Return the largest change of velocity or pressure by the largest of it, of the pressure at least U squared."""
     (du, dp), (u, p) = (np.split(np.abs(part), [2 * equations.n]) for part in (step, x))
     speed = max(u.max(), 1e-150)  # a flow at rest changes by nothing
     return float(max(du.max() / speed, dp.max() / max(p.max(), speed**2)))
-=======
-    """Return the largest change of velocity by the largest velocity, or that of pressure if it is larger.
-
-    A pressure that is small beside u^2 is compared with that: where there is none it is rounding.
-    """
-    (du, dp), (u, p) = (np.split(np.abs(part), [2 * equations.n]) for part in (step, x))
-    fastest = max(u.max(), 1e-300)
-    return float(max(du.max() / fastest, dp.max() / max(p.max(), fastest**2)))
->>>>>>> w-tests
 
 
 def _length(equations: _Equations, step: np.ndarray) -> float:
