@@ -571,7 +571,7 @@ def test_an_unknown_case_is_refused_with_the_known_ones():
 
 def test_flow_digest_ignores_sensors_and_limits_below_the_strengths_only():
     one = dataclasses.replace(CASE, time_step=5e-4)
-    weaker = tuple(Jet(f"cylinder.{part}", limit=0.005, strength=0.01) for part in ("top", "bottom"))
+    weaker = tuple(dataclasses.replace(jet, limit=0.005, strength=0.01) for jet in CASE.actuators)
     same = dataclasses.replace(one, **points((0.1, 0.0)), actuators=weaker)
     assert flow_digest(same) == flow_digest(one)
     moved = Circle("cylinder", (0.0, 0.0), RADIUS, parts={"top": (75, 85), "bottom": (265, 275)})
