@@ -1,6 +1,8 @@
 """A case: one flow as data. Geometry, conditions, inputs, sensors, scales, sizes and scheme."""
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 from manywake.case import checks
 from manywake.case.conditions import Condition, Outflow
@@ -8,6 +10,11 @@ from manywake.case.geometry import Body, Domain
 from manywake.case.inputs import Input, Noise
 from manywake.case.schemes import BDF2_MEAN, Scheme
 from manywake.case.sensors import Sensor
+
+RESOLVED = 100.0
+"""The Reynolds number that the default sizes and the schemes' time steps are for."""
+LENIENT = 0.2
+"""By how much the parts that a scheme's step is cut into may fall short of what the rule asks for."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +66,21 @@ class Sizes:
     near: tuple[Near, ...] = ()
     """Sides of the domain near which triangles are smaller."""
 
+    @classmethod
+    def at(cls, reynolds: float, **others: Any) -> "Sizes":
+        """Return sizes for a wake at a Reynolds number: past 100 layers are as thin as boundary layers, 1 / sqrt(Re).
+
+        Facets and the wake's triangles shrink with its fourth root (docs/numerics.md, "Sizes and steps"). others: sizes
+        that are given. ValueError where the number is not positive.
+        """
+        if not reynolds > 0:
+            raise ValueError(f"reynolds: got {reynolds:g}, wanted a positive number")
+        thin = math.sqrt(min(RESOLVED / reynolds, 1.0))
+        sizes = {"layer_height": cls.layer_height * thin} | {
+            name: getattr(cls, name) * math.sqrt(thin) for name in ("body", "wake")
+        }
+        return cls(**sizes | others)
+
 
 @dataclass(frozen=True)
 class Case:
@@ -80,7 +102,7 @@ class Case:
     scheme: Scheme = BDF2_MEAN
     """Scheme of the time stepping, by its name."""
     time_step: float | None = None
-    """Time step, in the case's unit of time; the scheme's own when not given."""
+    """Time step, in the case's unit of time; when not given the scheme's own, shorter past Re 100 (`dt`)."""
     spin_up: float = 160.0
     """Time from a kicked rest to the developed flow, in convective units L / U."""
 
@@ -105,7 +127,15 @@ class Case:
 
     @property
     def dt(self) -> float:
-        return self.scheme.time_step * self.convective_time if self.time_step is None else self.time_step
+        """The time step: the one that is given, or the scheme's, cut into equal parts past Re 100 and on finer sizes.
+
+        A whole number of parts, so that an interval that suits the scheme's step suits this one.
+        """
+        if self.time_step is not None:
+            return self.time_step
+        finest = min(self.sizes.body / Sizes.body, self.sizes.wake / Sizes.wake, 1.0) if self.bodies else 1.0
+        parts = math.ceil(math.sqrt(self.reynolds / RESOLVED / finest) - LENIENT)
+        return self.scheme.time_step * self.convective_time / max(parts, 1)
 
     @property
     def outlet(self) -> bool:
