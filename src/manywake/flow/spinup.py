@@ -68,7 +68,7 @@ class FreeFlows:
                 time = done * unit + (at + chunk) * dt
                 raise BlewUp(
                     f"baseline: the flow blew up by time {time:g} of its {what}; halve the time step {dt:g}. Past Re "
-                    "300 a wake may come back in through an Outflow and blow up whatever the step: lower reynolds"
+                    "300 a wake may come back in through an Outflow whatever the step: take finer sizes (Sizes.at)"
                 )
             report(what, min((done + duration * min((at + chunk) / steps, 1.0)) / (of or duration), 1.0))
         return readings.joined(record)

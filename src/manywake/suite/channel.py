@@ -9,7 +9,7 @@ from manywake.suite import cylinder_jets
 CASE = replace(cylinder_jets.CASE, actuators=(), sensors=())
 TANG = "Tang et al. 2020, read off a figure"
 NEWTON = "Newton, 15 to 36 thousand P2/P1 triangles"
-# 3.17 at Re 400 is out of reach: there the wake comes back in through the outlet, and blows up (docs/numerics.md)
+# 3.17 at Re 400 wants finer sizes: on these the wake comes back in through the outlet (docs/numerics.md)
 MEAN = {40: 4.03, 60: 3.515, 80: 3.31, 100: 3.205, 200: 3.145, 300: 3.16}
 STEADY = {60: 3.4556, 100: 2.9415, 150: 2.6590, 200: 2.5067, 250: 2.4030, 300: 2.319, 350: 2.248, 400: 2.190}
 REFERENCES = (
