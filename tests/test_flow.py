@@ -291,11 +291,17 @@ def test_probes_beside_the_round_cylinder_read_linear_fields_exactly(tiny):
 def test_velocity_is_nearly_free_of_divergence(ops, base):
     space = ops.space
     u, v = (space.velocity.interpolate(base.start.u[:, c]) for c in range(2))
-    dx = space.velocity.dx
-    divergence = np.sqrt(np.sum((u.grad[0] + v.grad[1]) ** 2 * dx))
-    gradient = np.sqrt(np.sum(sum(g**2 for field in (u, v) for g in (field.grad[0], field.grad[1])) * dx))
-    # P2/P1 velocities are free of divergence on average only; the steady flow, which is so exactly, has a ratio of 0.03
-    assert divergence < 0.1 * gradient  # measured 0.086
+    gradient = sum(g**2 for field in (u, v) for g in (field.grad[0], field.grad[1]))
+    divergence, x = (u.grad[0] + v.grad[1]) ** 2, np.asarray(space.velocity.global_coordinates())[0]
+
+    def share(part):
+        dx = np.where(part, space.velocity.dx, 0.0)
+        return np.sqrt(np.sum(divergence * dx) / np.sum(gradient * dx))
+
+    # P2/P1 velocities are free of divergence on average only; the mean flow has a share of 0.03. Measured 0.077 to
+    # 0.086 over a period, most of it behind x = 1, where triangles grow to 0.1; 0.024 by the body and its near wake
+    assert share(x < np.inf) < 0.09
+    assert share(x < 0.5) < 0.03
     # tested against the pressure functions it vanishes with the pressure increment, eq. 10
     inner = ops.pressure_order[: len(ops.tables.poisson.inverse_diagonal)]
     weak = sum(space.divergence[c] @ base.start.u[:, c] for c in range(2))[inner]
@@ -325,11 +331,18 @@ def test_gradient_form_gives_the_whole_force_but_for_the_divergence(shipped, ops
 
 
 def test_what_flows_in_flows_out(ops, base):
-    inlet, _ = problem.boundary_flux(ops.space, ops.space.facets("left"), base.start.u)
-    outlet, _ = problem.boundary_flux(ops.space, ops.space.facets("right"), base.start.u)
-    assert inlet == pytest.approx(0.41, rel=1e-7)  # the start state is kept in singles
-    # continuity is not tested by the outlet's own pressure functions, where p = 0 stands instead: eq. 10
-    assert outlet == pytest.approx(-0.41, rel=1e-2)  # measured 0.71 % on the triangles of 0.1 at the outlet
+    def flux(side, u):
+        return problem.boundary_flux(ops.space, ops.space.facets(side), u)[0]
+
+    flow, u = FlowBatch(ops, base.start, 1), base.start.u
+    assert flux("left", u) == pytest.approx(0.41, rel=1e-7)  # it is kept in singles, and a double two steps on
+    for _ in range(12):
+        flow.advance(np.zeros((30, 2, 1)))
+        u = flow.state(0).u
+        assert flux("left", u) == pytest.approx(0.41, rel=1e-12)
+        # continuity is not tested by the outlet's own pressure functions, where p = 0 stands instead: eq. 10
+        assert flux("right", u) == pytest.approx(-0.41, rel=1.5e-2)
+    assert flux("right", base.mean) == pytest.approx(-0.41, rel=2e-3)
 
 
 # ---- jets
@@ -449,8 +462,9 @@ def test_the_mirrored_flow_has_the_mirrored_lift_and_torque(shipped, ops, base, 
 def test_operators_are_reproducible(shipped, ops, base):
     again = in_singles(shipped.case, base.mesh, *base.advecting)
     assert again.digest == ops.digest
-    other = in_singles(dataclasses.replace(shipped.case, time_step=4e-4), base.mesh, *base.advecting)
-    assert other.digest != ops.digest
+    shorter = in_singles(dataclasses.replace(shipped.case, time_step=4e-4), base.mesh, *base.advecting)
+    undamped = in_singles(shipped.case, base.mesh, base.mean)
+    assert len({ops.digest, shorter.digest, undamped.digest}) == 3
 
 
 def test_probes_read_the_field_at_their_points(shipped, ops, base):
