@@ -7,15 +7,13 @@ import pytest
 import skfem
 
 from manywake.case import BDF2, BDF2_MEAN, Box, Case, Circle, FreeSlip, Jet, NoSlip, Outflow, Parabola, Stream
-from manywake.flow import archive, baseline, exact, forced, operators, problem, spinup, steady, stepper
+from manywake.flow import archive, baseline, exact, forced, operators, problem, spinup, steady
 from manywake.flow import mesh as meshes
 from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.mesh import Mesh
-from manywake.flow.stepper import State
-from manywake.machine import simd
 
 from .conftest import TINY, in_doubles, in_singles, tiny_mesh
-from .test_kernels import LANES, lane_array, normal
+from .test_kernels import steps_by_width
 
 # ---- a vortex that drifts along two slip sides
 
@@ -257,19 +255,7 @@ def slipping():
 
 
 def test_steps_with_slip_have_the_same_bits_for_every_width(slipping):
-    ops, rng = slipping, np.random.default_rng(4)
-    n, m = len(ops.velocity_order), len(ops.pressure_order)
-    u, u_old, p = (0.3 * normal(rng, shape, np.float64) for shape in ((n, 2), (n, 2), (m, 1)))
-    phi, phi_old = (0.1 * normal(rng, (m, 1), ops.precision) for _ in range(2))
-    rates, results = 0.01 * rng.normal(size=(5, 2, LANES)), []
-    for width in simd.WIDTHS:
-        blocks = []
-        for k in range(0, LANES, width):
-            lanes = slice(k, k + width)
-            state = State(*(lane_array(part[..., lanes], part.dtype) for part in (u, u_old, p, phi, phi_old)))
-            state, force = stepper.advance(ops, state, rates[..., lanes])
-            blocks.append([force, *(simd.numbers(part) for part in vars(state).values())])
-        results.append([np.concatenate(parts, axis=-1) for parts in zip(*blocks, strict=True)])
+    results = steps_by_width(slipping)
     assert all(np.isfinite(part).all() for part in results[0])
     for other in results[1:]:
         for ours, twin in zip(other, results[0], strict=True):

@@ -46,7 +46,7 @@ def test_a_limit_above_what_was_withstood_is_refused_with_the_number():
         ValueError, match="got 0.01 on 'cylinder.top', wanted at most 0.008, .*a law that takes 0.0045 to"
     ):
         stability.check(CASE, withstood(0.8, 1.0), Held())
-    with pytest.raises(ValueError, match="wanted at most 0.005, .*; no flow|wanted at most 0.005"):
+    with pytest.raises(ValueError, match="wanted at most 0.005"):
         stability.check(CASE, withstood(0.5, 0.5), Linear())
     weaker = (Jet("cylinder.top", 0.008), Jet("cylinder.bottom", 0.008))
     made = tuple(dataclasses.replace(jet, strength=0.01) for jet in weaker)

@@ -1,16 +1,18 @@
 """A batch of flows: B columns that start from given states, advance together and are read together."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from manywake.flow import stepper
+from manywake.flow import readings, stepper
 from manywake.flow.disturb import Disturbances
 from manywake.flow.kernels import product
 from manywake.flow.operators import Operators
 from manywake.flow.stepper import State
 from manywake.machine import simd
+
+_CHUNK = 1000
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,27 @@ class FlowBatch:
                 yield name, lanes, self.ops.velocity_order
             else:
                 yield name, lanes[:, 0], self.ops.pressure_order
+
+
+def started(ops: Operators, starts: Sequence[Start], flows: int) -> FlowBatch:
+    """Return flows that begin at some states, in turn."""
+    batch = FlowBatch(ops, starts[0], flows)
+    for column in range(flows):
+        batch.reset([column], starts[column % len(starts)])
+    return batch
+
+
+def recorded(
+    flow: FlowBatch, amplitudes: np.ndarray, report: Callable[[str, float], None], what: str
+) -> dict[str, np.ndarray]:
+    """Advance flows under the agent's amplitudes (steps, actuators, B) and chance; return the readings, (steps, B)."""
+    record = []
+    for k in range(0, len(amplitudes), _CHUNK):
+        report(what, k / len(amplitudes))
+        chunk = flow.disturbed(amplitudes[k : k + _CHUNK])
+        record.append(readings.named(flow.ops, flow.advance(chunk), chunk))
+    report(what, 1.0)
+    return readings.joined(record)
 
 
 def _empty(ops: Operators, width: int) -> State:

@@ -10,7 +10,8 @@ import numpy as np
 from manywake.case.geometry import inside, outline
 from manywake.case.references import Forced
 from manywake.case.schemes import BDF2, GODA
-from manywake.flow import baseline, problem, readings
+from manywake.flow import baseline, problem
+from manywake.flow import batch as batches
 from manywake.flow import mesh as meshes
 from manywake.flow import space as spaces
 from manywake.flow.baseline import Progress
@@ -24,6 +25,11 @@ RISE = 1 / 60
 """Share of the time before the averages in which held amplitudes rise."""
 
 
+def risen(t: np.ndarray, settle: float) -> np.ndarray:
+    """Return the share of a held amplitude that is there at times t (steps,), after which `settle` is not averaged."""
+    return np.minimum(t / (RISE * settle), 1.0)
+
+
 def names(reference: Forced) -> list[str]:
     """Return what the forcings are called, no control first."""
     return list(_forcings(reference, np.zeros(1)))
@@ -31,8 +37,8 @@ def names(reference: Forced) -> list[str]:
 
 def _forcings(reference: Forced, t: np.ndarray) -> dict[str, list[np.ndarray]]:
     """Return the amplitudes (steps,) of the first input under each forcing by name, a flow each."""
-    risen = np.minimum(t / (RISE * reference.settle), 1.0)
-    found = {FREE: [0.0 * t]} | {f"Q = {a:g}": [a * risen] for a in reference.steady}
+    share = risen(t, reference.settle)
+    found = {FREE: [0.0 * t]} | {f"Q = {a:g}": [a * share] for a in reference.steady}
     for a, f, phases in reference.harmonic:
         sines = [a * np.sin(2 * np.pi * (f * t + k / phases)) for k in range(phases)]
         found[f"Q = {a:g} sin(2 pi {f:g} t)"] = sines
@@ -47,13 +53,9 @@ def run(
     t = dt * np.arange(1, round(reference.duration / dt) + 1)
     first = np.stack([series for columns in _forcings(reference, t).values() for series in columns], axis=1)
     amplitudes = np.stack([share / mixing[0] * first for share in mixing], axis=1)
-    flow, record = FlowBatch(ops, start, first.shape[1]), []
+    flow = FlowBatch(ops, start, first.shape[1])
     flow.reset(range(flow.flows), seeds=[0] * flow.flows)  # the same disturbances, if any, under all forcings
-    for k in range(0, len(t), 1000):
-        report(what, k / len(t))
-        chunk = flow.disturbed(amplitudes[k : k + 1000])
-        record.append(readings.named(ops, flow.advance(chunk), chunk))
-    return readings.joined(record)
+    return batches.recorded(flow, amplitudes, report, what)
 
 
 def changes(record: dict[str, np.ndarray], reference: Forced, time_step: float) -> dict[str, dict[str, float]]:

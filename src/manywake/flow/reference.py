@@ -18,7 +18,8 @@ from manywake.case.references import (
     Statistic,
     Steady,
 )
-from manywake.flow import baseline, probe, problem, readings, spinup, statistics, steady, store
+from manywake.flow import baseline, forced, probe, problem, readings, spinup, statistics, steady, store
+from manywake.flow import batch as batches
 from manywake.flow.baseline import Progress
 from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.probe import Field
@@ -33,8 +34,6 @@ STEADY_MOST = 600.0
 """...which must be so before this time, in L / U."""
 PERIODIC = 120.0
 """How long the uncontrolled flow runs for its statistics, in L / U: about 36 shedding periods of a cylinder."""
-RISE = 1 / 60
-"""Share of the time before the averages in which held amplitudes rise."""
 CHUNK = 1000
 Record = dict[str, np.ndarray]
 
@@ -93,12 +92,10 @@ class Runs:
         flow = self._at(reynolds, time_step)
         base, case, kind = flow.baseline, flow.case, flow.baseline.statistics.kind
         starts = base.starts if kind == "aperiodic" else base.starts[:1]
-        batch = FlowBatch(flow.operators, starts[0], len(starts))
-        for column, start in enumerate(starts):
-            batch.reset([column], start)
+        batch = batches.started(flow.operators, starts, len(starts))
         steps = round(PERIODIC * case.convective_time / case.dt)
         amplitudes = np.zeros((steps, len(case.actuators), len(starts)))
-        record = self._advance(batch, amplitudes, f"uncontrolled flow, Re {case.reynolds:g}")
+        record = batches.recorded(batch, amplitudes, self.report, f"uncontrolled flow, Re {case.reynolds:g}")
         return self.judged(record, kind, case.dt)
 
     def judged(self, record: Record, kind: statistics.Kind, dt: float) -> Statistics:
@@ -106,16 +103,6 @@ class Runs:
         if clock not in record:  # without bodies nothing tells periods
             clock, kind = next(iter(record)), "aperiodic" if kind == "periodic" else kind
         return statistics.uncontrolled(record, clock, dt, kind)
-
-    def _advance(self, batch: FlowBatch, amplitudes: np.ndarray, what: str) -> Record:
-        """Advance flows under amplitudes (steps, actuators, B) and chance; return the readings by name, (steps, B)."""
-        record = []
-        for k in range(0, len(amplitudes), CHUNK):
-            self.report(what, k / len(amplitudes))
-            chunk = batch.disturbed(amplitudes[k : k + CHUNK])
-            record.append(readings.named(batch.ops, batch.advance(chunk), chunk))
-        self.report(what, 1.0)
-        return readings.joined(record)
 
     def _steady(self, reynolds: float | None) -> SteadyFlow:
         re = reynolds or self.case.reynolds
@@ -135,9 +122,9 @@ class Runs:
         batch, unit = self._batch(time_step), self.case.convective_time
         dt = batch.ops.time_step
         t = dt * np.arange(1, round(duration * unit / dt) + 1)
-        risen = np.minimum(t / (RISE * settle * unit), 1.0)
-        series = risen[:, None, None] * np.array(amplitudes)[None, :, None]
-        return self._advance(batch, series, f"held at {', '.join(f'{a:g}' for a in amplitudes)}"), dt
+        series = forced.risen(t, settle * unit)[:, None, None] * np.array(amplitudes)[None, :, None]
+        held = f"held at {', '.join(f'{a:g}' for a in amplitudes)}"
+        return batches.recorded(batch, series, self.report, held), dt
 
     def _driven(self, driving: Callable, duration: float, time_step: float | None) -> tuple[Record, Start]:
         """Return the readings by name, (steps, 1), of a flow from rest whose inputs are driven, and its last state."""

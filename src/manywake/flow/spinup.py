@@ -7,6 +7,7 @@ import numpy as np
 
 from manywake.case.case import Case
 from manywake.case.geometry import outline
+from manywake.flow import batch as batches
 from manywake.flow import readings, statistics
 from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.operators import Operators
@@ -36,9 +37,7 @@ class FreeFlows:
 
     def __init__(self, case: Case, ops: Operators, starts: list[Start], steady: np.ndarray):
         self.case, self.ops, self.steady = case, ops, steady
-        self.batch = FlowBatch(ops, starts[0], len(starts))
-        for column, start in enumerate(starts):
-            self.batch.reset([column], start)
+        self.batch = batches.started(ops, starts, len(starts))
         self.clock = clock(case)
         self.flows = len(starts)
 

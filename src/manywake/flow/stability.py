@@ -13,8 +13,9 @@ import numpy as np
 
 from manywake.case.case import Case
 from manywake.case.laws import Law
+from manywake.flow import batch as batches
 from manywake.flow import readings
-from manywake.flow.batch import FlowBatch, Start
+from manywake.flow.batch import Start
 from manywake.flow.operators import Operators
 from manywake.flow.spinup import Progress
 
@@ -125,7 +126,7 @@ def fluctuation(
     ops: at a smaller step than the case's, which the flow survives without damping where the case's step needs some.
     """
     waves, largest = _Waves(case, shedding, RESONANT, 1.0, MEASURED), np.zeros(len(mean))
-    batch = _batch(ops, starts, waves.flows)
+    batch = batches.started(ops, starts, waves.flows)
     every = max(round(0.1 * case.convective_time / ops.time_step), 1)
     for amplitudes in waves.series(ops.time_step, every, _share(case, ops.time_step)):
         batch.advance(batch.disturbed(amplitudes))
@@ -160,7 +161,7 @@ def _tried(
     case: Case, ops: Operators, starts: list[Start], waves: _Waves, rise: float, report: Progress
 ) -> dict[str, np.ndarray]:
     """Return the readings (windows, flows) by name under waves; none where a flow blows up."""
-    batch, found = _batch(ops, starts, waves.flows), []
+    batch, found = batches.started(ops, starts, waves.flows), []
     steps = max(round(WINDOW * case.convective_time / ops.time_step), 1)
     for k, series in enumerate(waves.series(ops.time_step, steps, rise)):
         amplitudes = batch.disturbed(series)
@@ -170,11 +171,3 @@ def _tried(
         found.append(readings.means(readings.named(ops, read, amplitudes)))
         report("stability", min((k + 1) * WINDOW / (TRIED + STAYING), 1.0))
     return {name: np.stack([part[name] for part in found]) for name in found[0]}
-
-
-def _batch(ops: Operators, starts: list[Start], flows: int) -> FlowBatch:
-    """Return flows that begin at the starts in turn."""
-    batch = FlowBatch(ops, starts[0], flows)
-    for column in range(flows):
-        batch.reset([column], starts[column % len(starts)])
-    return batch
