@@ -63,7 +63,7 @@ def run(setup: Setup) -> None:
 def _averaged(run: Run, controlled: bool, periods: float) -> tuple[np.ndarray, dict[str, float]]:
     """Return the mean speed at the vertices after one episode's transient, and the means of the forces and the jet."""
     simulation = trainings.opened(run)
-    flow, task, settle = simulation.flow, simulation.task, simulation.horizon
+    flow, task, settle = simulation.flows[0], simulation.task, simulation.horizon
     actions = round(periods * flow.baseline.statistics.period / task.interval)
     speeds: list[np.ndarray] = []
 

@@ -48,7 +48,8 @@ def run(setup: Setup) -> None:
     played = trainings.opened(group[0])
     driving = {"uncontrolled": None} | {f"seed {run.settings.seed}": checkpoints.policy(run) for run in group}
     numbers, series, spectra = [], [], []
-    for grid, flow in (("training", played.flow), ("fine", played.flow if setup.miniature else finer(played.flow))):
+    trained_on = played.flows[0]
+    for grid, flow in (("training", trained_on), ("fine", trained_on if setup.miniature else finer(trained_on))):
         actions, areas = LONG_RUN * played.horizon, []
 
         def look(flows: ControlledFlows, areas=areas, grid=grid, actions=actions) -> None:

@@ -69,8 +69,9 @@ def _updates(series: str, run: Run, updates: int) -> list[dict[str, Any]]:
 
 def _final(series: str, group: list[Run], updates: int) -> list[dict[str, Any]]:
     played = trainings.opened(group[0])
-    result = policies_in_lanes.play(played.flow, played.task, [run.version(updates) for run in group], played.horizon)
-    half, limit = len(result["c_d"]) // 2, played.flow.case.actuators[0].limit
+    flow, driving = played.flows[0], [run.version(updates) for run in group]
+    result = policies_in_lanes.play(flow, played.task, driving, played.horizon)
+    half, limit = len(result["c_d"]) // 2, flow.case.actuators[0].limit
     return [
         rounded(
             {

@@ -1,15 +1,21 @@
 """What several test files need: the shipped case, assembled once, and a tiny channel around a cylinder."""
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from manywake.case import BDF2, Box, Case, Pressure, Velocity
+from manywake.case.describe import flow_digest
 from manywake.flow import baseline, problem, store
 from manywake.flow import mesh as meshes
 from manywake.flow.mesh import Mesh
 from manywake.flow.operators import Operators
+from manywake.machine import compile
 from manywake.suite import cylinder_jets
 
 
@@ -85,3 +91,16 @@ def in_doubles(chosen: Case, mesh: Mesh, *advecting: np.ndarray) -> Operators:
 def tiny():
     """Operators of the tiny channel."""
     return in_singles(TINY, tiny_mesh())
+
+
+@contextmanager
+def pretended(cache: Path, base: baseline.Baseline, *cases: Case) -> Iterator[None]:
+    """Put a baseline of the same mesh where the baselines of other cases are looked for."""
+    before = {name: os.environ.get(name) for name in ("XDG_CACHE_HOME", "NUMBA_CACHE_DIR")}
+    os.environ["NUMBA_CACHE_DIR"] = before["NUMBA_CACHE_DIR"] or compile._cache_folder()
+    os.environ["XDG_CACHE_HOME"] = str(cache)
+    for case in cases:
+        baseline.save(replace(base, flow_digest=flow_digest(case)), store.cache_path(case))
+    yield
+    for name, value in before.items():
+        os.environ.pop(name) if value is None else os.environ.update({name: value})

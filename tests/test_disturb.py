@@ -1,14 +1,12 @@
 """Chance: the noise that it drives, and that an episode, wherever it is played, is a function of its seed."""
 
 import dataclasses
-import os
 
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from manywake.case import BodyForce, Noise
-from manywake.case.describe import flow_digest
 from manywake.env.control import ControlledFlows
 from manywake.env.env import FlowEnv, FlowVectorEnv
 from manywake.flow import archive, baseline, spinup, store
@@ -20,9 +18,10 @@ from manywake.learn.engine import Processes, Threads
 from manywake.learn.flows import Flows
 from manywake.learn.policy import Policy
 from manywake.learn.rollout import context, seed
-from manywake.machine import compile
 from manywake.suite import load
 from manywake.suite.cylinder_jets import CASE, TASK
+
+from .conftest import pretended
 
 RMS, TIME = 3.0, 0.01
 NOISES = (
@@ -117,13 +116,8 @@ def _still(ops) -> baseline.Start:
 @pytest.fixture(scope="module")
 def noisy(base, tmp_path_factory):
     """The noisy flow, its start state that of the shipped one, put where the environments look for it."""
-    before = {name: os.environ.get(name) for name in ("XDG_CACHE_HOME", "NUMBA_CACHE_DIR")}
-    os.environ["NUMBA_CACHE_DIR"] = before["NUMBA_CACHE_DIR"] or compile._cache_folder()
-    os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.mktemp("cache"))
-    baseline.save(dataclasses.replace(base, flow_digest=flow_digest(NOISY)), store.cache_path(NOISY))
-    yield store.flow(NOISY)
-    for name, value in before.items():
-        os.environ.pop(name) if value is None else os.environ.update({name: value})
+    with pretended(tmp_path_factory.mktemp("cache"), base, NOISY):
+        yield store.flow(NOISY)
 
 
 def test_inputs_are_the_agent_s_then_chance_s_and_only_the_agent_s_have_power(noisy):
@@ -227,7 +221,7 @@ def test_too_few_seeds_are_refused(noisy):
 @pytest.fixture(scope="module")
 def flows(noisy) -> Flows:
     chosen = load.choose(NOISY, TASK, **SHORT)
-    return Flows(Flow(chosen.case, noisy.operators, noisy.baseline), chosen)
+    return Flows((Flow(chosen.case, noisy.operators, noisy.baseline),), chosen)
 
 
 def policy(action: float) -> Policy:
@@ -267,8 +261,8 @@ def test_an_evaluation_has_the_same_chance_for_any_number_of_slots(flows):
     results = [flows.evaluate(policy(0.2), Threads(slots)) for slots in (1, 3)]
     assert results[0].summary() == results[1].summary()
     # every start has a seed of its own: two from one state go apart
-    start = flows.flow.baseline.start
-    two = evaluate.play(flows.flow, flows.task, lambda t, seen: np.zeros((len(seen), 1)), [start] * 2, 2, first=4)
-    one = evaluate.play(flows.flow, flows.task, lambda t, seen: np.zeros((len(seen), 1)), [start], 2, first=5)
+    start = flows.flows[0].baseline.start
+    two = evaluate.play(flows.flows[0], flows.task, lambda t, seen: np.zeros((len(seen), 1)), [start] * 2, 2, first=4)
+    one = evaluate.play(flows.flows[0], flows.task, lambda t, seen: np.zeros((len(seen), 1)), [start], 2, first=5)
     np.testing.assert_array_equal(two.series["c_l"][:, 1], one.series["c_l"][:, 0])
     assert abs(np.diff(two.series["c_l"], axis=1)).max() > 1e-6

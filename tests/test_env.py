@@ -81,10 +81,10 @@ def test_make_vec_gives_the_true_batch():
 
 def test_info_names_what_the_issue_names(made):
     _, info = made.reset(seed=0)
-    assert set(info) == {"amplitudes", "time", "diverged"}  # no action yet, no mean of C_D and C_L over it
+    assert set(info) == {"amplitudes", "reynolds", "time", "diverged"}  # no action yet, no mean of C_D and C_L over it
     assert "drag positive downstream, lift positive up" in made.metadata["coefficients"]
     _, _, _, _, info = made.step(np.zeros(1, np.float32))
-    assert set(info) == {*READINGS, "amplitudes", "time", "diverged"}
+    assert set(info) == {*READINGS, "amplitudes", "reynolds", "time", "diverged"}
     assert READINGS == readings(CASE)
     assert info["c_d"] == pytest.approx(3.17, abs=0.02)
     assert abs(info["c_l"]) < 0.05
@@ -192,11 +192,11 @@ def test_autoreset_is_gymnasiums_when_flows_end_at_different_times(mode):
     twin = SyncVectorEnv([lambda: FlowEnv(**SHORT)] * 3, autoreset_mode=mode)
     batch.reset(seed=0)
     twin.reset(seed=0)
-    start = spoilt(batch._flows.batch.state(0), 1e4)
+    start = spoilt(batch._flows._parts[0].batch.state(0), 1e4)
     for k, action in enumerate(plan):
         if k == 1:
-            batch._flows.reset([1], [1], start)
-            twin.envs[1].unwrapped._batch._flows.reset([0], [0], start)
+            batch._flows._parts[0].reset([1], [1], start)
+            twin.envs[1].unwrapped._batch._flows._parts[0].reset([0], [0], start)
         assert_same_step(batch.step(action), twin.step(action), mode)
     twin.close()
 
@@ -270,7 +270,7 @@ def test_sb3_sees_a_flow_that_blew_up_as_an_end_and_not_as_a_time_limit():
 
     wrapped = DummyVecEnv([lambda: FlowEnv(**SHORT)] * 2)
     wrapped.reset()
-    flows = wrapped.envs[0]._batch._flows
+    flows = wrapped.envs[0]._batch._flows._parts[0]
     flows.reset([0], [0], spoilt(flows.batch.state(0), np.nan))
     _, _, done, infos = wrapped.step(np.zeros((2, 1), np.float32))
     assert done.tolist() == [True, False]
@@ -297,7 +297,7 @@ def test_a_flow_that_blows_up_ends_alone_finite_and_at_a_price(value):
     batch, twin = vector(5, AutoresetMode.DISABLED), vector(5, AutoresetMode.DISABLED)
     batch.reset(seed=0)
     twin.reset(seed=0)
-    batch._flows.reset([3], [3], spoilt(batch._flows.batch.state(0), value))
+    batch._flows._parts[0].reset([3], [3], spoilt(batch._flows._parts[0].batch.state(0), value))
     ours, good = batch.step(plan[0]), twin.step(plan[0])
     assert ours[2].tolist() == [False, False, False, True, False]
     assert not ours[3].any()
@@ -306,7 +306,7 @@ def test_a_flow_that_blows_up_ends_alone_finite_and_at_a_price(value):
     assert all(np.isfinite(ours[4][key]).all() for key in ("amplitudes", "time"))
     assert all(np.isnan(ours[4][key]).tolist() == ours[2].tolist() for key in READINGS)
     # worse than three more actions of anything a flow does
-    assert ours[1][3] == pytest.approx(3 * charged(batch._flows))
+    assert ours[1][3] == pytest.approx(3 * charged(batch._flows._parts[0]))
     others = [0, 1, 2, 4]
     for a, b in zip(ours[:2], good[:2], strict=True):
         np.testing.assert_array_equal(a[others], b[others])
@@ -334,7 +334,7 @@ def test_a_flow_that_blows_up_at_the_horizon_is_terminated_not_truncated():
     env.reset(seed=0)
     for _ in range(2):
         env.step(np.zeros(1, np.float32))
-    flows = env._batch._flows
+    flows = env._batch._flows._parts[0]
     flows.batch.reset([0], spoilt(flows.batch.state(0), np.nan))
     _, reward, terminated, truncated, info = env.step(np.zeros(1, np.float32))
     assert (terminated, truncated, info["diverged"]) == (True, False, True)
@@ -591,7 +591,7 @@ def test_observation_is_the_pressure_at_the_reference_s_probes_in_its_order(ops)
     env = FlowEnv(**SHORT)
     env.reset(seed=0)
     observation = env.step(np.ones(1, np.float32))[0]
-    p = env._batch._flows.batch.state(0).p
+    p = env._batch._flows._parts[0].batch.state(0).p
     wanted = ops.space.pressure.probes(np.array(points).T) @ p
     np.testing.assert_allclose(observation, wanted, atol=1e-6)
     assert observation.dtype == np.float32
@@ -626,7 +626,7 @@ def test_observation_of_readings_and_amplitudes_beside_sensors_in_the_order_aske
     batch = vector(2, observe=("pressure", "c_l", "amplitudes"))
     assert batch.single_observation_space.shape == (151 + 1 + 2,)
     observation, _ = batch.reset(seed=0)
-    pressure = batch._flows.batch.read("pressure")
+    pressure = batch._flows._parts[0].batch.read("pressure")
     np.testing.assert_allclose(observation[:, :151], pressure, atol=1e-6)
     # before any action: the uncontrolled flow's mean, and jets at rest
     np.testing.assert_array_equal(observation[:, 151], np.float32(base.free["c_l"]))
@@ -653,7 +653,7 @@ def asked(charge=twice_the_worst):
 
     batch = vector(3, AutoresetMode.DISABLED, reward=reward, charge=charge)
     batch.reset(seed=0)
-    batch._flows.reset([1], [1], spoilt(batch._flows.batch.state(0), np.nan))
+    batch._flows._parts[0].reset([1], [1], spoilt(batch._flows._parts[0].batch.state(0), np.nan))
     seen.clear()
     return batch, seen
 

@@ -49,7 +49,7 @@ def test_the_steady_flow_has_all_the_shedding_drag_removed(shipped):
 
 
 def test_evaluation_windows_and_engine_do_not_change_the_numbers(shipped):
-    flows = Flows(shipped, load.choose("cylinder-jets", actions=2))
+    flows = Flows((shipped,), load.choose("cylinder-jets", actions=2))
     result = flows.evaluate(constant(0.3), Threads(2))
     again = flows.evaluate(constant(0.3), Threads(1))
     assert result.summary() == again.summary()

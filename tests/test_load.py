@@ -62,6 +62,7 @@ def test_every_setting_has_a_sentence_and_the_value_of_the_file(name, protocol):
         *("reynolds", "spin_up", "time_step", "scheme", "limit", "limit.cylinder.top", "limit.cylinder.bottom"),
         *(f"sizes.{part}" for part in ("body", "part_facets", "layers", "layer_height", "layer_growth")),
         *("sizes.wake", "sizes.wake_axis", "sizes.far", "points.pressure", "points.velocity"),
+        *("noise.pressure", "noise.velocity", "history", "delay", "reynolds_numbers"),
         *("interval", "actions", "observe", "reward", "law", "starts"),
         *(("law.alpha", "law.per") if isinstance(task.law, Exponential) else ()),
     }
@@ -266,7 +267,7 @@ def test_a_user_s_file_with_lambdas_and_classes_plays_in_processes_that_have_not
         finally:
             engine.close()
         rewards[name] = np.stack([episode.rewards for episode in episodes])
-        free = simulation.flow.baseline.free
+        free = simulation.flows[0].baseline.free
         for episode in episodes:
             saved = free["c_d"] - episode.readings["c_d"] - 0.5 * episode.readings["power"]
             np.testing.assert_array_equal(episode.rewards, saved)

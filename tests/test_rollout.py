@@ -21,7 +21,7 @@ LEARNING = Learning(update_period=5, episodes=10, learner_threads=1, batch_size=
 
 @pytest.fixture(scope="module")
 def flows(shipped):
-    return Flows(shipped, load.choose("cylinder-jets", actions=ACTIONS))
+    return Flows((shipped,), load.choose("cylinder-jets", actions=ACTIONS))
 
 
 def taken(flows, engine=None, lanes=5, workers=1) -> Collector:
@@ -107,8 +107,11 @@ def test_a_policy_comes_back_from_its_file_as_it_went(policy, tmp_path):
 
 def test_a_worker_never_assembles(flows, policy, processes):
     """What a worker plays with came from the trainer, with nothing in it that assembly would have left."""
-    assert processes.submit(assembled_there, processes.share(flows)).result(60) == (True, flows.flow.operators.digest)
+    assert processes.submit(assembled_there, processes.share(flows)).result(60) == (
+        True,
+        flows.flows[0].operators.digest,
+    )
 
 
 def assembled_there(flows):
-    return "space" not in vars(flows.flow.operators), flows.flow.operators.digest
+    return "space" not in vars(flows.flows[0].operators), flows.flows[0].operators.digest

@@ -56,7 +56,7 @@ def test_settings_come_back_as_they_went(run):
     assert opened.run.settings == SETTINGS
     assert opened.run.layout == LAYOUT
     assert opened.simulation.chosen == CHOSEN
-    assert opened.simulation.flow.case == cylinder_jets.CASE
+    assert opened.simulation.flows[0].case == cylinder_jets.CASE
     assert opened.simulation.task == dataclasses.replace(cylinder_jets.TASK, actions=2)
 
 
@@ -148,9 +148,9 @@ def test_settings_file_is_plain_json(run):
 
 def test_the_folder_keeps_the_operators_its_episodes_were_played_with(run):
     kept = json.loads((run[0] / "settings.json").read_text())["kept"]
-    opened = api.load_run(run[0]).simulation.flow
-    assert opened.operators.digest == kept["operators"]
-    assert opened.baseline.digest() == kept["baseline"]
+    (opened,) = api.load_run(run[0]).simulation.flows
+    assert [opened.operators.digest] == kept["operators"]
+    assert [opened.baseline.digest()] == kept["baseline"]
 
 
 def test_every_version_is_kept(run):
@@ -358,7 +358,7 @@ def there_and_here(simulation: Flows, engine) -> tuple[list[bytes], list[bytes]]
     ours = simulation.play([policy], contexts)
     theirs = engine.submit(play, engine.share(simulation), contexts, policy).result(120)
     for episode in theirs:
-        saved = simulation.flow.baseline.free["c_d"] - episode.readings["c_d"]
+        saved = simulation.flows[0].baseline.free["c_d"] - episode.readings["c_d"]
         np.testing.assert_allclose(episode.rewards, 0.25 * saved, rtol=1e-12)
     return [physics(episode) for episode in ours], [physics(episode) for episode in theirs]
 

@@ -78,7 +78,7 @@ def test_an_older_processor_plays_the_same_episode(tmp_path, shipped):
         "flows, policy, contexts = pickle.load(open(sys.argv[1], 'rb'))\n"
         "pickle.dump(flows.play([policy], contexts), open(sys.argv[2], 'wb'))\n"
     )
-    simulation = Flows(shipped, CHOSEN)
+    simulation = Flows((shipped,), CHOSEN)
     policy = ppo.snapshot(ppo.build(LEARNING, taken(simulation)))
     contexts = [context(3, index, simulation.horizon, 1) for index in range(3)]
     (tmp_path / "in").write_bytes(pickle.dumps((simulation, policy, contexts)))

@@ -109,6 +109,8 @@ class Case:
     def __post_init__(self) -> None:
         for name in ("conditions", "bodies", "actuators", "disturbances", "sensors"):
             object.__setattr__(self, name, tuple(getattr(self, name)))  # lists come from keyword arguments
+        if isinstance(self.reynolds, float) and self.reynolds.is_integer():
+            object.__setattr__(self, "reynolds", int(self.reynolds))  # 100 and 100.0 are one flow, and hash alike
         checks.check(self)
 
     @property

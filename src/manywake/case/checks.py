@@ -295,6 +295,8 @@ def _speed(case: Any, given: Any) -> float:
 
 def _check_sensors(case: Any) -> None:
     for sensor in case.sensors:
+        if not 0 <= sensor.noise < math.inf:
+            raise ValueError(f"sensor {sensor.name!r}: got the noise {sensor.noise:g}, wanted an rms, at least 0")
         points = np.array(sensor.points, dtype=float)
         if points.ndim != 2 or points.shape[1] != 2:
             raise ValueError(f"sensor {sensor.name!r}: got points of shape {points.shape}, wanted one (x, y) or more")

@@ -1,6 +1,7 @@
 """The door of a task: one that does not fit its case is refused before anything is meshed."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from manywake.case.task import Task
 
 def check(case: Case, task: Task) -> None:
     """Raise ValueError where a task does not fit its case."""
+    for reynolds in task.reynolds_numbers:
+        task.steps(replace(case, reynolds=reynolds).dt)
     task.steps(case.dt)
     if not case.actuators:
         raise ValueError("actuators: got none, wanted at least one that the agent drives, as Jet or Rotation")

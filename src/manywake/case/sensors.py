@@ -1,6 +1,6 @@
 """Sensors: what is observed, by name, as rows of numbers that multiply the velocity or the pressure."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 from manywake.case.geometry import Point
@@ -12,6 +12,8 @@ class Sensor:
 
     name: str
     points: tuple[Point, ...]
+    noise: float = field(default=0.0, kw_only=True)
+    """Root mean square of the error that is added to every value, in the sensor's unit."""
     field: ClassVar[Literal["pressure", "velocity"]]
 
 

@@ -63,6 +63,12 @@ class Task:
     """How amplitudes follow what is wanted."""
     starts: str = "first"
     """Where episodes begin: "first" at the start state, "any" at one of several far apart that the seed draws."""
+    reynolds_numbers: tuple[float, ...] = ()
+    """Reynolds numbers of which an episode's seed draws one; that of the case when there are none."""
+    history: int = 1
+    """Observations that the agent sees at once, the oldest first; before there are as many, the first one again."""
+    delay: int = 0
+    """Actions that pass until an action takes effect; before the first does, nothing acts."""
     charge: Charge = twice_the_worst
     """What a flow that blew up is given for every action that was left, with which its episode ends."""
 
@@ -73,6 +79,11 @@ class Task:
             raise ValueError(f"actions: got {self.actions}, wanted a whole number")
         if self.starts not in STARTS:
             raise ValueError(f"starts: got {self.starts!r}, wanted one of {', '.join(STARTS)}")
+        object.__setattr__(self, "reynolds_numbers", tuple(self.reynolds_numbers))
+        for name, least in (("history", 1), ("delay", 0)):
+            value = getattr(self, name)
+            if value != int(value) or value < least:
+                raise ValueError(f"{name}: got {value}, wanted a whole number, at least {least}")
         if not self.interval > 0:
             raise ValueError(f"interval: got {self.interval:g}, wanted a positive time")
         if isinstance(self.law, type) or not hasattr(self.law, "series"):
@@ -88,6 +99,21 @@ class Task:
                 f"the nearest is {max(steps, 1) * time_step:g}"
             )
         return steps
+
+
+def drawn(task: Task, seed: int) -> int:
+    """Return which of its Reynolds numbers an episode's seed draws."""
+    return _draw(seed, 3, len(task.reynolds_numbers) or 1)
+
+
+def begun(task: Task, seed: int, starts: int) -> int:
+    """Return which of so many start states an episode of a seed begins from."""
+    return 0 if task.starts == "first" else _draw(seed, 0, starts)
+
+
+def _draw(seed: int, stream: int, among: int) -> int:
+    """Return a number below `among` that a stream of a seed draws."""
+    return int(np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(1)[0]) % among
 
 
 def matrix(task: Task, inputs: int) -> np.ndarray:

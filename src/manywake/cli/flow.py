@@ -17,6 +17,7 @@ from manywake.cli.show import Bar, Json, numbers
 from manywake.suite import load
 from manywake.suite.load import Chosen, Definition, Setting
 
+_SENSORS = ("points.", "noise.")
 CaseName = Annotated[str, tyro.conf.arg(help=f"Which flow: {', '.join(load.names())}, or the path of a case file.")]
 
 
@@ -55,7 +56,7 @@ def command(kind: type[OnCase], definition: Definition, **defaults: Any) -> Any:
     """Return a command on a case with its settings as options; one that has a protocol takes the task's too."""
     protocol = defaults.get("protocol")
     found = load.settings(definition, protocol) if protocol else load.case_settings(definition.case)
-    own = [_option(name, s) for name, s in found.items() if protocol or not name.startswith("points.")]
+    own = [_option(name, s) for name, s in found.items() if protocol or not name.startswith(_SENSORS)]
     made: Any = dataclasses.make_dataclass("Settings", own, frozen=True)
     fields: list[Any] = [("settings", Annotated[made, tyro.conf.OmitArgPrefixes], made())]
     if protocol:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -10,6 +11,7 @@ from manywake.case import sensors
 from manywake.case import task as tasks
 from manywake.case.case import Case
 from manywake.case.task import Task
+from manywake.env.errors import Errors
 from manywake.flow import readings, stability
 from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.store import Flow
@@ -20,11 +22,15 @@ OBSERVATION_LIMIT = 100.0
 
 def spaces(case: Case, task: Task) -> tuple[Box, Box]:
     """Return the observation and the action space of a single flow."""
-    counts = {sensor.name: sensors.values(sensor) for sensor in case.sensors} | {"amplitudes": len(case.actuators)}
-    values = sum(counts.get(name, 1) for name in task.observe)
     actions = tasks.matrix(task, len(case.actuators)).shape[1]
-    seen = Box(-OBSERVATION_LIMIT, OBSERVATION_LIMIT, (values,), np.float32)
+    seen = Box(-OBSERVATION_LIMIT, OBSERVATION_LIMIT, (task.history * _values(case, task),), np.float32)
     return seen, Box(-1.0, 1.0, (actions,), np.float32)
+
+
+def _values(case: Case, task: Task) -> int:
+    """Return how many numbers one observation has."""
+    counts = {sensor.name: sensors.values(sensor) for sensor in case.sensors} | {"amplitudes": len(case.actuators)}
+    return sum(counts.get(name, 1) for name in task.observe)
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,21 @@ class Outcome:
     truncated: np.ndarray
     series: dict[str, np.ndarray]
     amplitudes: np.ndarray
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All that one flow's future depends on: its state, its random numbers, and what the task remembers of it."""
+
+    start: Start
+    chance: list[tuple[float, dict[str, Any]]]
+    errors: list[dict[str, Any]]
+    amplitude: np.ndarray
+    wanted: np.ndarray
+    actions: int
+    pending: np.ndarray
+    frames: np.ndarray
+    means: dict[str, float]
 
 
 class ControlledFlows:
@@ -61,41 +82,76 @@ class ControlledFlows:
         self.amplitude, self.wanted = np.zeros((2, len(self.limits), flows))
         self.actions = np.zeros(flows, dtype=np.int64)
         self.means = {name: np.full(flows, value) for name, value in self.free.items()}
+        self._errors = Errors(flow.case, flows)
+        self._pending = np.zeros((task.delay, flows, self.mixing.shape[1]))
+        self._frames = np.zeros((flows, task.history, _values(flow.case, task)), np.float32)
+        self.reset(range(flows), range(flows))
 
     def reset(self, columns: Sequence[int] | np.ndarray, seeds: Sequence[int], start: Start | None = None) -> None:
         """Begin an episode in each of some columns, with amplitudes and action count 0.
 
         seeds: of the episodes, one for each column. start: where all begin, if not where their seeds say.
         """
+        starts = self.flow.baseline.starts
         for column, seed in zip(columns, seeds, strict=True):
-            self.batch.reset([column], self._start(seed) if start is None else start, [seed])
+            begun = starts[tasks.begun(self.task, seed, len(starts))] if start is None else start
+            self.batch.reset([column], begun, [seed])
+            self._errors.reset(column, seed)
         self.amplitude[:, columns] = self.wanted[:, columns] = 0.0
+        self._pending[:, columns] = 0.0
         self.actions[columns] = 0
         for name, value in self.free.items():
             self.means[name][columns] = value
+        self._frames[columns] = self._look(columns)[:, None]
 
-    def _start(self, seed: int) -> Start:
-        """Return the state that an episode of this seed begins from."""
-        starts = self.flow.baseline.starts
-        if self.task.starts == "first":
-            return starts[0]
-        return starts[int(np.random.SeedSequence(seed, spawn_key=(0,)).generate_state(1)[0]) % len(starts)]
+    def snapshot(self, column: int) -> Snapshot:
+        """Return all that one flow's future depends on."""
+        return Snapshot(
+            self.batch.state(column),
+            self.batch.chance(column),
+            self._errors.state(column),
+            self.amplitude[:, column].copy(),
+            self.wanted[:, column].copy(),
+            int(self.actions[column]),
+            self._pending[:, column].copy(),
+            self._frames[column].copy(),
+            {name: float(part[column]) for name, part in self.means.items()},
+        )
+
+    def restore(self, column: int, kept: Snapshot) -> None:
+        """Put a flow back to where a snapshot of this task was taken, in whichever column or batch that was."""
+        self.batch.reset([column], kept.start)
+        self.batch.resume(column, kept.chance)
+        self._errors.resume(column, kept.errors)
+        self.amplitude[:, column], self.wanted[:, column] = kept.amplitude, kept.wanted
+        self.actions[column] = kept.actions
+        self._pending[:, column], self._frames[column] = kept.pending, kept.frames
+        for name, value in kept.means.items():
+            self.means[name][column] = value
 
     def observe(self) -> np.ndarray:
-        """Return what the task observes, (B, values) float32, finite and within the observation space.
+        """Return what the task observes, (B, history x values) float32, finite and within the observation space.
 
         Readings are means over the last action, those of the uncontrolled flow before the first. Amplitudes are in
         units of their limits.
         """
+        return self._frames.reshape(self.count, -1).copy()
+
+    def _look(self, columns: Sequence[int] | np.ndarray) -> np.ndarray:
+        """Return what is to be observed now of some flows, (columns, values); sensors draw their errors."""
         known = {name: part[:, None] for name, part in self.means.items()}
         known["amplitudes"] = (self.amplitude / self.limits[:, None]).T
-        parts = [known[name] if name in known else self.batch.read(name) for name in self.task.observe]
+        parts = [
+            known[name][columns] if name in known else self._errors.added(name, self.batch.read(name)[columns], columns)
+            for name in self.task.observe
+        ]
         raw = np.nan_to_num(np.concatenate(parts, axis=1), nan=0.0, posinf=0.0, neginf=0.0)
         return np.clip(raw, -OBSERVATION_LIMIT, OBSERVATION_LIMIT).astype(np.float32)
 
     def act(self, actions: np.ndarray) -> Outcome:
-        """Hold actions (B, actions), clipped to [-1, 1], for one action interval."""
-        clipped = np.clip(actions.astype(np.float64), -1.0, 1.0)
+        """Hold actions (B, actions), clipped to [-1, 1], for one action interval: these, or what the delay lets act."""
+        queue = np.concatenate([self._pending, np.clip(actions.astype(np.float64), -1.0, 1.0)[None]])
+        clipped, self._pending = queue[0], queue[1:]
         # summed in order, so that no bit depends on B
         mixed = sum(self.mixing[:, k, None] * clipped[None, :, k] for k in range(clipped.shape[1]))
         wanted = self.limits[:, None] * mixed
@@ -107,6 +163,8 @@ class ControlledFlows:
         diverged = readings.blown(self.flow.operators, read)
         means = readings.means({name: np.where(diverged, np.nan, part) for name, part in series.items()})
         self.means = {name: part.copy() for name, part in means.items()}
+        seen = self._look(range(self.count))[:, None]
+        self._frames = np.concatenate([self._frames[:, 1:], seen], axis=1)
         truncated = (self.actions >= self.task.actions) & ~diverged
         reward = np.array([self._reward(means, b, bool(diverged[b])) for b in range(self.count)])
         return Outcome(reward, means, diverged, truncated, series, amplitudes)

@@ -13,7 +13,8 @@ from gymnasium.vector.utils import batch_space
 
 from manywake.case.case import Case
 from manywake.case.task import Task
-from manywake.env.control import ControlledFlows, spaces
+from manywake.env.control import spaces
+from manywake.env.several import SeveralFlows
 from manywake.flow import store
 from manywake.suite import load
 
@@ -50,8 +51,8 @@ class FlowVectorEnv(gymnasium.vector.VectorEnv):
     observation and a charge. An episode is a function of its seed and of the actions. After reset(seed=s) flow i has
     the episodes of a single environment that was reset with s + i: that of the seed, then those of seeds drawn from a
     generator of its own. `info` has, for the last action, every reading by name (means, absent before the first
-    action, NaN when the flow blew up; their convention stands in `metadata["coefficients"]`), amplitudes (inputs), time
-    and diverged.
+    action, NaN when the flow blew up; their convention stands in `metadata["coefficients"]`), amplitudes (inputs), the
+    Reynolds number, time and diverged.
     """
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP, "coefficients": COEFFICIENTS}
@@ -70,7 +71,8 @@ class FlowVectorEnv(gymnasium.vector.VectorEnv):
         self.single_observation_space, self.single_action_space = spaces(self.case, self.task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._flows = ControlledFlows(store.flow(self.case, _say), self.task, num_envs)
+        flows = [store.flow(case, _say) for case in chosen.cases]
+        self._flows = SeveralFlows(flows, self.task, num_envs)
         self._ended, self._diverged = np.zeros((2, num_envs), dtype=bool)
         self._fresh = ~self._ended
         self._random = [seeding.np_random()[0] for _ in range(num_envs)]
@@ -119,8 +121,7 @@ class FlowVectorEnv(gymnasium.vector.VectorEnv):
                 f"step: flow {ended.argmax()} has ended; with autoreset disabled, call "
                 'reset(options={"reset_mask": ...}) first'
             )
-        outcome = self._flows.act(action)
-        reward, truncated, self._diverged = outcome.reward, outcome.truncated, outcome.diverged
+        reward, self._diverged, truncated = self._flows.act(action)
         self._fresh[:] = False
         if ended.any():  # with NEXT_STEP: their step is the reset
             self._restart(ended)
@@ -148,7 +149,8 @@ class FlowVectorEnv(gymnasium.vector.VectorEnv):
         there = np.full(self.num_envs, there)
         means = {name: np.where(self._fresh, 0.0, part) for name, part in self._flows.means.items()}
         now = {
-            "amplitudes": self._flows.amplitude.T.copy(),
+            "amplitudes": self._flows.amplitude,
+            "reynolds": self._flows.reynolds(),
             "time": self._flows.actions * self.task.interval,
             "diverged": self._diverged.copy(),
         }

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -69,6 +70,14 @@ class FlowBatch:
         Chance draws its next numbers at every call; these do not depend on how many steps a call has.
         """
         return np.concatenate([amplitudes, self._disturbances.series(len(amplitudes))], axis=1)
+
+    def chance(self, column: int) -> list[tuple[float, dict[str, Any]]]:
+        """Return where the disturbances of a column are."""
+        return self._disturbances.state(column)
+
+    def resume(self, column: int, chance: list[tuple[float, dict[str, Any]]]) -> None:
+        """Let the disturbances of a column go on from where `chance` said that they were."""
+        self._disturbances.resume(column, chance)
 
     def advance(self, amplitudes: np.ndarray) -> np.ndarray:
         """Advance all flows by len(amplitudes) steps; amplitudes (steps, inputs, B) are held during each step.

@@ -6,6 +6,7 @@ Uniform numbers need no logarithm, so the series has the same bits everywhere.
 
 import math
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -49,6 +50,18 @@ class Disturbances:
         series = _filtered(drawn, self._now, self._keep, self._size)
         self._now = series[-1] if steps else self._now
         return np.clip(series, -self._limit, self._limit)
+
+    def state(self, column: int) -> list[tuple[float, dict[str, Any]]]:
+        """Return where the series of a column are: the last amplitude of each, and its stream."""
+        last = self._now[:, column].tolist()
+        return [(now, dict(s[column].bit_generator.state)) for now, s in zip(last, self._streams, strict=True)]
+
+    def resume(self, column: int, states: list[tuple[float, dict[str, Any]]]) -> None:
+        """Go on from where the series of a column were."""
+        for k, (now, state) in enumerate(states):
+            self._now[k, column] = now
+            self._streams[k][column] = np.random.Generator(np.random.PCG64())
+            self._streams[k][column].bit_generator.state = state
 
 
 def _filtered(drawn: np.ndarray, now: np.ndarray, keep: np.ndarray, size: np.ndarray) -> np.ndarray:

@@ -104,9 +104,41 @@ class Evaluation:
         if (folder / "episodes.csv").exists():
             episodes = tables.columns(folder / "episodes.csv")
             plots.learning_curve(episodes, self.flow.baseline, folder / "learning-curve.png")
-        whole, path = self.trajectory, folder / f"wake{tail}.png"
+        self.draw_wake(folder / f"wake{tail}.png")
+
+    def draw_wake(self, path: Path) -> None:
+        """Draw the wake uncontrolled and controlled."""
+        from manywake import plots
+
+        whole = self.trajectory
         series = {name: part[:, 0] for name, part in whole.series.items()}
         plots.wake(self.flow, whole.ends[0], series, whole.amplitudes[:, :, 0], path)
+
+
+@dataclass(frozen=True)
+class Evaluations:
+    """Evaluations of one policy at several Reynolds numbers."""
+
+    parts: list[Evaluation]
+
+    def summary(self) -> dict[str, Any]:
+        return {"at": {f"{part.flow.case.reynolds:g}": part.summary() for part in self.parts}}
+
+    def table(self) -> list[tuple[str, ...]]:
+        styles = {"cd_uncontrolled": ".4f", "cd_controlled": ".4f", "drag_reduction": ".2%", "cl_mean": "+.3f"}
+        styles |= {"amplitude_rms": ".1%", "power": ".4f", "reward": ".4f"}
+        heads = "C_D uncontrolled", "C_D controlled", "reduction", "C_L mean", "rms / limit", "power", "reward"
+        rows: list[tuple[str, ...]] = [("long run, policy without noise: Re", *heads)]
+        for part in self.parts:
+            now = part.long_run
+            numbers = [format(getattr(now, name), style) for name, style in styles.items()]
+            rows.append((f"{part.flow.case.reynolds:g}", *(["blew up"] * len(styles) if now.diverged else numbers)))
+        return rows
+
+    def draw(self, folder: Path, tail: str) -> None:
+        """Draw the wake at each Reynolds number."""
+        for part in self.parts:
+            part.draw_wake(folder / f"wake{tail}-{part.flow.case.reynolds:g}.png")
 
 
 def _plain(control: Control) -> dict[str, Any]:
@@ -138,9 +170,10 @@ def play(
     )
 
 
-def _play_policy(simulation: Any, policy: Policy, starts: list[Start], actions: int, first: int) -> Trajectory:
-    """Play in a worker; simulation: `flows.Flows`, as it was shared."""
-    return play(simulation.flow, simulation.task, lambda t, seen: policies.act(policy, seen), starts, actions, first)
+def _play_policy(simulation: Any, k: int, policy: Policy, starts: list[Start], actions: int, first: int) -> Trajectory:
+    """Play the k-th flow in a worker; simulation: `flows.Flows`, as it was shared."""
+    flow, task = simulation.flows[k], simulation.task
+    return play(flow, task, lambda t, seen: policies.act(policy, seen), starts, actions, first)
 
 
 def control(base: Baseline, limits: np.ndarray, part: Trajectory, column: int) -> Control:
@@ -172,15 +205,15 @@ def window(whole: Trajectory, first: int, last: int) -> Trajectory:
     return Trajectory(series, whole.amplitudes[first:last], rewards, whole.ends)
 
 
-def evaluate(shared: Any, flow: Flow, task: Task, policy: Policy, engine: Engine) -> Evaluation:
+def evaluate(shared: Any, k: int, flow: Flow, task: Task, policy: Policy, engine: Engine) -> Evaluation:
     """Evaluate a policy: `PHASES` long runs side by side, spread over the engine's slots.
 
-    shared: what stands for the simulation of this flow and task in the engine's calls.
+    shared: what stands for the simulation in the engine's calls, of which this flow is the k-th.
     """
     base, actions, share = flow.baseline, LONG_RUN * task.actions, -(-PHASES // engine.slots)
     starts = baseline.phases(flow.operators, base, PHASES)
     spread = [(starts[k : k + share], k) for k in range(0, PHASES, share)]
-    futures = [engine.submit(_play_policy, shared, policy, some, actions, first) for some, first in spread]
+    futures = [engine.submit(_play_policy, shared, k, policy, some, actions, first) for some, first in spread]
     parts = [future.result() for future in futures]
     trajectory = Trajectory(
         {name: np.concatenate([part.series[name] for part in parts], axis=1) for name in parts[0].series},

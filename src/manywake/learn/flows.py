@@ -12,6 +12,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from manywake.case import describe
+from manywake.case import task as tasks
 from manywake.case.task import Task
 from manywake.env.control import ControlledFlows, drive, spaces
 from manywake.flow import archive, baseline, store
@@ -20,7 +21,7 @@ from manywake.flow.store import Flow
 from manywake.learn import evaluate
 from manywake.learn import policy as policies
 from manywake.learn.engine import Engine
-from manywake.learn.evaluate import Evaluation
+from manywake.learn.evaluate import Evaluation, Evaluations
 from manywake.learn.policy import Policy
 from manywake.learn.rollout import Context, Episode, Simulation
 from manywake.suite.load import Chosen
@@ -30,14 +31,14 @@ KIND = "flow"
 
 @dataclass(frozen=True)
 class Flows(Simulation):
-    """A flow under the task that was chosen for it."""
+    """Flows under the task that was chosen for them: one, or one for each Reynolds number that episodes may have."""
 
-    flow: Flow
+    flows: tuple[Flow, ...]
     chosen: Chosen
 
     def __reduce__(self):
         # what a user's file defines travels as what it is, not by the name of a module
-        return _unpacked, (cloudpickle.dumps((self.flow, self.chosen)),)
+        return _unpacked, (cloudpickle.dumps((self.flows, self.chosen)),)
 
     @property
     def task(self) -> Task:
@@ -48,11 +49,15 @@ class Flows(Simulation):
         return self.task.actions
 
     def spaces(self) -> tuple[Box, Box]:
-        return spaces(self.flow.case, self.task)
+        return spaces(self.chosen.case, self.task)
+
+    def variant(self, seed: int) -> int:
+        return tasks.drawn(self.task, seed)
 
     def play(self, driving: Sequence[Policy], contexts: list[Context]) -> list[Episode]:
         count, policy_seconds, begin = len(contexts), 0.0, time.perf_counter()
-        flows = ControlledFlows(self.flow, self.task, count)
+        flow = self.flows[self.variant(contexts[0].seed)]
+        flows = ControlledFlows(flow, self.task, count)
         flows.reset(range(count), [context.seed for context in contexts])
         noise = np.stack([context.noise for context in contexts], axis=1)
         which = np.stack([context.which for context in contexts], axis=1)
@@ -78,6 +83,8 @@ class Flows(Simulation):
         readings = {name: np.stack([outcome.means[name] for outcome in outcomes]) for name in flows.free}
         share = np.stack([outcome.amplitudes[-1] for outcome in outcomes]) / flows.limits[:, None]
         readings["amplitude_rms"] = np.sqrt(np.mean(share**2, axis=1))
+        if self.task.reynolds_numbers:
+            readings["reynolds"] = np.full(share.shape[::2], flow.case.reynolds)
         versions = np.array([policy.version for policy in driving])[which]
         observations, actions = (np.stack([getattr(s, name) for s in steps]) for name in ("observation", "action"))
         series = versions, observations, actions, np.stack(log_probs), np.stack([o.reward for o in outcomes])
@@ -93,17 +100,25 @@ class Flows(Simulation):
     def summary(self, episode: Episode) -> dict[str, float]:
         """Return means of readings in total, over the whole and the second half, and the rms of amplitude / limit."""
         numbers, half = {}, len(episode.rewards) // 2
+        if self.task.reynolds_numbers:
+            numbers["reynolds"] = float(episode.readings["reynolds"][0])
         for name, series in episode.readings.items():
-            if "." not in name and name != "amplitude_rms":
+            if "." not in name and name not in ("amplitude_rms", "reynolds"):
                 numbers[name] = float(series.mean())
                 numbers[f"{name}_second_half"] = float(series[half:].mean())
         return numbers | {"amplitude_rms": math.sqrt(float(np.mean(episode.readings["amplitude_rms"] ** 2)))}
 
     def gain(self, summary: dict[str, float]) -> float:
-        return 1.0 - summary.get("c_d_second_half", math.nan) / self.flow.baseline.free.get("c_d", math.nan)
+        numbers = self.task.reynolds_numbers
+        flow = self.flows[numbers.index(summary["reynolds"]) if numbers else 0]
+        return 1.0 - summary.get("c_d_second_half", math.nan) / flow.baseline.free.get("c_d", math.nan)
 
     def expected_seconds(self, lanes: int) -> float | None:
-        flows = ControlledFlows(self.flow, self.task, lanes)
+        return max(self._seconds(flow, lanes) for flow in self.flows)
+
+    def _seconds(self, flow: Flow, lanes: int) -> float:
+        """Return about how long a block of episodes of one flow takes."""
+        flows = ControlledFlows(flow, self.task, lanes)
         still = np.zeros((lanes, flows.mixing.shape[1]))
         flows.act(still)  # compiles, or loads what was compiled
         start = time.perf_counter()
@@ -111,8 +126,10 @@ class Flows(Simulation):
         flows.observe()
         return self.horizon * (time.perf_counter() - start)
 
-    def evaluate(self, policy: Policy, engine: Engine) -> Evaluation:
-        return evaluate.evaluate(engine.share(self), self.flow, self.task, policy, engine)
+    def evaluate(self, policy: Policy, engine: Engine) -> Evaluation | Evaluations:
+        shared = engine.share(self)
+        found = [evaluate.evaluate(shared, k, flow, self.task, policy, engine) for k, flow in enumerate(self.flows)]
+        return Evaluations(found) if self.task.reynolds_numbers else found[0]
 
     def describe(self) -> dict[str, Any]:
         chosen, definition = self.chosen, self.chosen.definition
@@ -131,12 +148,21 @@ class Flows(Simulation):
         }
 
     def save(self, folder: Path) -> dict[str, Any]:
-        baseline.save(self.flow.baseline, folder / "baseline.npz")
-        archive.save(self.flow.operators, folder / "operators.npz")
+        kept: dict[str, list[str]] = {"baseline": [], "operators": []}
+        for tail, flow in zip(_tails(self.chosen), self.flows, strict=True):
+            baseline.save(flow.baseline, folder / f"baseline{tail}.npz")
+            archive.save(flow.operators, folder / f"operators{tail}.npz")
+            kept["baseline"].append(flow.baseline.digest())
+            kept["operators"].append(flow.operators.digest)
         definition = self.chosen.definition
         if definition.file is not None and not definition.shipped:
             (folder / "case.py").write_bytes(definition.content)  # to be read; nothing here runs it
-        return {"baseline": self.flow.baseline.digest(), "operators": self.flow.operators.digest}
+        return kept
+
+
+def _tails(chosen: Chosen) -> list[str]:
+    """Return what tells the files of a run's flows apart."""
+    return [f"-{re:g}" for re in chosen.task.reynolds_numbers] or [""]
 
 
 def _unpacked(code: bytes) -> Flows:
@@ -154,7 +180,7 @@ def _plain(value: Any) -> bool:
 
 def open_flows(chosen: Chosen, progress: Progress | None = None) -> Flows:
     """Return the flows of a case, from a baseline that is shipped, cached or made now."""
-    return Flows(store.flow(chosen.case, progress), chosen)
+    return Flows(tuple(store.flow(case, progress) for case in chosen.cases), chosen)
 
 
 def reopen(folder: Path, described: dict[str, Any], chosen: Chosen) -> Flows:
@@ -173,5 +199,8 @@ def reopen(folder: Path, described: dict[str, Any], chosen: Chosen) -> Flows:
         changed = " and the ".join(part for part, value in said.items() if value != described[part]) or "settings"
         got = f"the {changed} of {definition.name!r} are not those that {folder} was made with"
         raise ValueError(f"case: {got}; wanted the version of manywake, or the settings, that made it")
-    base = baseline.load(folder / "baseline.npz", chosen.case)
-    return Flows(Flow(chosen.case, archive.load(folder / "operators.npz", base.mesh), base), chosen)
+    found = []
+    for tail, case in zip(_tails(chosen), chosen.cases, strict=True):
+        base = baseline.load(folder / f"baseline{tail}.npz", case)
+        found.append(Flow(case, archive.load(folder / f"operators{tail}.npz", base.mesh), base))
+    return Flows(tuple(found), chosen)

@@ -31,6 +31,8 @@ from manywake.case.schemes import SCHEMES
 from manywake.case.task import Reward, Task
 
 DEFAULT = "cylinder-jets"
+_TASK = ("interval", "actions", "observe", "history", "delay", "reward", "law", "starts", "reynolds_numbers")
+"""Settings of a task by their fields."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,11 @@ class Chosen:
     learning: Learning
     protocol: str = "default"
     overrides: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def cases(self) -> tuple[Case, ...]:
+        """The case at each Reynolds number that an episode may have."""
+        return tuple(replace(self.case, reynolds=re) for re in self.task.reynolds_numbers) or (self.case,)
 
 
 def names() -> list[str]:
@@ -157,9 +164,12 @@ def choose(case: str | Path | Case, task: Task | str | None = None, **overrides:
 def override(definition: Definition, protocol: str, overrides: Mapping[str, Any]) -> Chosen:
     """Return a definition with single settings overridden, by their names in `settings`; ValueError at the door.
 
-    Beside those names every field of `Case`, `Task` and `Learning` can be given as an object.
+    Beside those names every field of `Case`, `Task` and `Learning` can be given as an object. A Reynolds number that is
+    given is that of every episode.
     """
     task, learning = definition.protocol(protocol)
+    if "reynolds" in overrides and "reynolds_numbers" not in overrides:
+        task = replace(task, reynolds_numbers=())
     laws = _laws(definition, task)
     known = {*settings(definition, protocol), *(name for law in laws.values() for name in _fields(law, "law."))}
     words = {"scheme": SCHEMES, "reward": definition.rewards, "law": laws}
@@ -185,7 +195,7 @@ def _replaced(
         if name not in {*of, *known}:
             raise ValueError(f"got the setting {name!r}, wanted one of {', '.join(sorted({*of, *known}))}")
         head, _, tail = name.partition(".")
-        field = {"limit": "actuators", "points": "sensors"}.get(head, head)
+        field = {"limit": "actuators", "points": "sensors", "noise": "sensors"}.get(head, head)
         now = changed[of[field]].get(field, getattr(owners[of[field]], field))
         value = _object(words.get(name), name, value)
         if head == "limit":
@@ -193,6 +203,8 @@ def _replaced(
         elif head == "points":
             points = tuple((float(x), float(y)) for x, y in value)
             value = tuple(replace(s, points=points) if s.name == tail else s for s in now)
+        elif head == "noise":
+            value = tuple(replace(s, noise=value) if tail in ("", s.name) else s for s in now)
         elif tail:
             if not hasattr(now, tail):
                 raise ValueError(f"{name}: got {value!r}, wanted none, as {type(now).__name__} has no {tail}")
@@ -236,8 +248,10 @@ def settings(definition: Definition, protocol: str = "default") -> dict[str, Set
     task, _ = definition.protocol(protocol)
     reward = next((name for name, reward in definition.rewards.items() if reward is task.reward), _name(task.reward))
     found = case_settings(definition.case)
-    found |= _fields(task, "", ("interval", "actions", "observe", "reward", "law", "starts"))
+    found |= _fields(task, "", _TASK)
     found |= _fields(task.law, "law.")
+    if task.reynolds_numbers:
+        found["reynolds"] = Setting(None, float | None, "Re of every episode, in place of those that seeds draw from.")
     found["reward"] = Setting(reward, tuple(definition.rewards), "What is rewarded, of what the case's file has.")
     laws, found["starts"] = tuple(_laws(definition, task)), replace(found["starts"], type=tasks.STARTS)
     found["law"] = replace(found["law"], value=type(task.law).__name__.lower(), type=laws)
@@ -256,6 +270,7 @@ def case_settings(case: Case) -> dict[str, Setting]:
     if case.actuators:
         found["limit"] = Setting(None, float | None, "Largest amplitude of every actuator.")
     for s in case.sensors:
+        found[f"noise.{s.name}"] = Setting(s.noise, float, f"Root mean square of the error of {s.name}, in its unit.")
         found[f"points.{s.name}"] = Setting(
             s.points, points, f"Points (x, y) of the sensor {s.name}, in the case's unit of length."
         )
