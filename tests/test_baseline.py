@@ -154,7 +154,7 @@ def test_a_case_with_other_sensors_but_the_same_flow_uses_the_shipped_baseline(b
 
 
 def test_phases_are_spread_over_one_period(ops, base):
-    states = baseline.phases(ops, base, 2)
+    states = baseline.phases(ops, base, 2, 0.1)
     assert len(states) == 2
     np.testing.assert_array_equal(states[0].u, base.start.u)
     flow = FlowBatch(ops, states[1], 1)

@@ -13,7 +13,7 @@ from manywake.flow import archive, baseline, spinup, store
 from manywake.flow.batch import FlowBatch
 from manywake.flow.disturb import WARM_UP, Disturbances
 from manywake.flow.store import Flow
-from manywake.learn import evaluate
+from manywake.learn import controllers, evaluate
 from manywake.learn.engine import Processes, Threads
 from manywake.learn.flows import Flows
 from manywake.learn.policy import Policy
@@ -28,6 +28,7 @@ NOISES = (
     Noise(BodyForce("upstream", at=(-0.12, 0.0), radius=0.03, along=(0.0, 1.0)), rms=RMS, time=TIME),
     Noise(BodyForce("above", limit=2.0, at=(0.0, 0.1), radius=0.03), rms=1.5, time=0.03),
 )
+STILL = controllers.simple("none", (), 1)
 NOISY = dataclasses.replace(CASE, disturbances=NOISES)
 SHORT = {"interval": 0.002, "actions": 3}
 
@@ -262,7 +263,7 @@ def test_an_evaluation_has_the_same_chance_for_any_number_of_slots(flows):
     assert results[0].summary() == results[1].summary()
     # every start has a seed of its own: two from one state go apart
     start = flows.flows[0].baseline.start
-    two = evaluate.play(flows.flows[0], flows.task, lambda t, seen: np.zeros((len(seen), 1)), [start] * 2, 2, first=4)
-    one = evaluate.play(flows.flows[0], flows.task, lambda t, seen: np.zeros((len(seen), 1)), [start], 2, first=5)
+    two = evaluate.play(flows.flows[0], flows.task, STILL, [start] * 2, 2, first=4)
+    one = evaluate.play(flows.flows[0], flows.task, STILL, [start], 2, first=5)
     np.testing.assert_array_equal(two.series["c_l"][:, 1], one.series["c_l"][:, 0])
     assert abs(np.diff(two.series["c_l"], axis=1)).max() > 1e-6

@@ -5,7 +5,7 @@ import pytest
 
 from manywake.flow import baseline
 from manywake.learn import evaluate
-from manywake.learn import policy as policies
+from manywake.learn.controllers import Learnt
 from manywake.learn.engine import Threads
 from manywake.learn.evaluate import Trajectory
 from manywake.learn.flows import Flows
@@ -24,7 +24,7 @@ def constant(action: float) -> Policy:
 
 def still(flow, start, actions) -> Trajectory:
     """A flow under a policy that leaves it alone."""
-    return evaluate.play(flow, TASK, lambda t, seen: policies.act(constant(0.0), seen), [start], actions)
+    return evaluate.play(flow, TASK, Learnt(constant(0.0)), [start], actions)
 
 
 def test_no_control_has_no_drag_reduction_and_the_known_lift(shipped):
@@ -65,7 +65,7 @@ def test_evaluation_windows_and_engine_do_not_change_the_numbers(shipped):
 def test_phases_are_an_eighth_of_a_period_apart(shipped):
     base = shipped.baseline
     whole = still(shipped, base.start, 14).series["c_l"][:, 0]
-    starts = baseline.phases(shipped.operators, base, 8)
+    starts = baseline.phases(shipped.operators, base, 8, CASE.convective_time)
     late = still(shipped, starts[2], 1).series["c_l"][:, 0]
     shift = int(round(2 * base.statistics.period / CASE.dt / 8))
     np.testing.assert_array_equal(late, whole[shift : shift + len(late)])

@@ -8,7 +8,7 @@ Axis letters: n velocity node, m pressure node, e element, q quadrature point, k
 """
 
 from manywake import case as _case
-from manywake.api import OpenRun, evaluate, load_run, resume, train
+from manywake.api import OpenRun, evaluate, judge, load_run, resume, search, train
 from manywake.case import *  # noqa: F403
 from manywake.env import env as _env
 from manywake.env.env import FlowEnv, FlowVectorEnv
@@ -19,5 +19,6 @@ _env.register()
 
 __all__ = [
     *_case.__all__,
-    "Collection", "FlowEnv", "FlowVectorEnv", "OpenRun", "choose", "evaluate", "load_run", "resume", "train",
+    "Collection", "FlowEnv", "FlowVectorEnv", "OpenRun", "choose", "evaluate",
+    "judge", "load_run", "resume", "search", "train",
 ]  # fmt: skip

@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import re
 import time
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,9 +21,10 @@ from manywake.case.case import Case
 from manywake.case.learning import Learning
 from manywake.case.task import Task
 from manywake.flow.baseline import Progress
-from manywake.learn import blocks, external, flows
+from manywake.learn import blocks, controllers, external, flows
 from manywake.learn.collect import usable_cores
 from manywake.learn.engine import Engine, Processes, Threads
+from manywake.learn.evaluate import Evaluation, Evaluations
 from manywake.learn.rollout import Evaluated, Simulation
 from manywake.learn.runs import Run
 from manywake.learn.settings import Collection, Settings
@@ -118,6 +120,62 @@ def evaluate(run: OpenRun | str | Path, checkpoint: str = "last", workers: int =
     opened = run if isinstance(run, OpenRun) else load_run(run)
     with closing(Threads(workers)) as where:
         return opened.simulation.evaluate(checkpoints.policy(opened.run, checkpoint), where)
+
+
+def judge(
+    case: str | Path | Case = load.DEFAULT,
+    task: Task | str | None = None,
+    *,
+    controller: str | Callable[..., Any] = "none",
+    numbers: Sequence[float] | None = None,
+    workers: int = 2,
+    progress: Progress | None = None,
+    **overrides: Any,
+) -> Evaluation | Evaluations:
+    """Return what a controller without a training achieves.
+
+    case, task, overrides: as in `manywake.choose`. controller: none, constant, harmonic or feedback, a function
+    (observation, info) -> action, or a class whose objects are such functions, one for each flow; or such by name,
+    module:function. numbers: of a simple one, those of the case's file when not given. workers: threads that play it.
+    """
+    simulation = flows.open_flows(load.choose(case, task, **overrides), progress)
+    with closing(Threads(workers)) as where:
+        return simulation.judge(controller_of(simulation, controller, numbers), where)
+
+
+def controller_of(
+    simulation: flows.Flows, controller: str | Callable[..., Any], numbers: Sequence[float] | None = None
+) -> controllers.Controller:
+    """Return a controller of a simulation's flows by its name, or of a function; ValueError at the door."""
+    if not isinstance(controller, str):
+        return controllers.Own(controller)
+    if ":" in controller:
+        return controllers.own(controller)
+    known = simulation.chosen.definition.controllers
+    chosen = known.get(controller, ()) if numbers is None else numbers
+    return controllers.simple(controller, chosen, simulation.spaces()[1].shape[0])
+
+
+def search(
+    case: str | Path | Case = load.DEFAULT,
+    task: Task | str | None = None,
+    *,
+    controller: str = "constant",
+    rounds: int = 8,
+    seed: int = 0,
+    workers: int = 2,
+    progress: Progress | None = None,
+    **overrides: Any,
+) -> controllers.Found:
+    """Return the best numbers of a simple controller, by differential evolution.
+
+    case, task, overrides: as in `manywake.choose`. controller: constant, harmonic or feedback. rounds: generations
+    after the first. seed: of the search. workers: threads that play.
+    """
+    simulation = flows.open_flows(load.choose(case, task, **overrides), progress)
+    report = progress or (lambda what, share: None)
+    with closing(Threads(workers)) as where:
+        return controllers.search(simulation, controller, where, rounds, seed, report)
 
 
 def load_run(

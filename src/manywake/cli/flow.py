@@ -52,7 +52,7 @@ def first(words: list[str]) -> argparse.Namespace:
     return parser.parse_known_args(words)[0]
 
 
-def command(kind: type[OnCase], definition: Definition, **defaults: Any) -> Any:
+def command(kind: type[OnCase], definition: Definition, name: str | None = None, **defaults: Any) -> Any:
     """Return a command on a case with its settings as options; one that has a protocol takes the task's too."""
     protocol = defaults.get("protocol")
     found = load.settings(definition, protocol) if protocol else load.case_settings(definition.case)
@@ -63,7 +63,7 @@ def command(kind: type[OnCase], definition: Definition, **defaults: Any) -> Any:
         fields.append(("protocol", Literal[tuple(definition.protocols)], protocol))
     also = {"__doc__": kind.__doc__, "definition": definition}
     whole = dataclasses.make_dataclass(kind.__name__, fields, bases=(kind,), namespace=also, frozen=True)
-    return Annotated[whole, tyro.conf.subcommand(kind.__name__.lower(), default=whole(**defaults))]
+    return Annotated[whole, tyro.conf.subcommand(name or kind.__name__.lower(), default=whole(**defaults))]
 
 
 def _option(name: str, setting: Setting) -> tuple[str, Any, Any]:

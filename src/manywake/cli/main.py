@@ -10,7 +10,7 @@ import tyro
 
 from manywake.cli import show
 from manywake.cli.flow import Baseline, Validate, command, first
-from manywake.cli.runs import Evaluate, Replay, Resume, Train
+from manywake.cli.runs import Evaluate, EvaluateController, Replay, Resume, Search, Train
 from manywake.suite import load
 
 PACKAGES = {"figure": "experiments", "bench": "benchmarks"}
@@ -38,18 +38,29 @@ def _hand_over(command: str, words: list[str]) -> None:
     os.execve(sys.executable, [sys.executable, "-m", package, *words], os.environ | {"PYTHONPATH": path})
 
 
+def _of_no_run(words: list[str]) -> bool:
+    """Return whether the words evaluate a controller that comes from no run."""
+    return words[:1] == ["evaluate"] and any(word.partition("=")[0] == "--controller" for word in words)
+
+
 def _commands(words: list[str]) -> Any:
     """Return all commands; those that take a case with the settings of the one that the words name."""
-    asked = first(words[1:] if words[:1] in (["train"], ["validate"], ["baseline"]) else [])
+    on_case = words[:1] in (["train"], ["validate"], ["baseline"], ["search"]) or _of_no_run(words)
+    asked = first(words[1:] if on_case else [])
     definition = load.load(asked.case)
     commands: tuple[Any, ...] = (
         command(Validate, definition, case=asked.case),
         command(Baseline, definition, case=asked.case),
-        *(Resume, Evaluate, Replay, Figure, Bench),
+        *(Resume, Replay, Figure, Bench),
     )
-    if asked.protocol in definition.protocols or words[:1] == ["train"]:  # a flow without a task has nothing to learn
+    if not _of_no_run(words):
+        commands = (*commands, Evaluate)
+    if asked.protocol in definition.protocols or on_case:  # a flow without a task has nothing to learn or to play
         learning = definition.protocol(asked.protocol)[1]
         commands = (command(Train, definition, **vars(asked), learning=learning), *commands)
+        commands += (command(Search, definition, **vars(asked)),)
+    if _of_no_run(words):
+        commands += (command(EvaluateController, definition, "evaluate", **vars(asked)),)
     return Union[commands]  # noqa: UP007
 
 

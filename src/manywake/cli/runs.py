@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,7 +16,8 @@ from manywake.case.learning import Learning
 from manywake.cli import show
 from manywake.cli.flow import OnCase
 from manywake.cli.show import Bar, Episodes, Json, console, say
-from manywake.learn import external, flows
+from manywake.learn import controllers, external, flows
+from manywake.learn.engine import Threads
 from manywake.learn.rollout import Simulation
 from manywake.learn.runs import Run, write_json
 from manywake.learn.settings import Collection, Settings
@@ -113,6 +115,55 @@ class Evaluate(OnRun):
         numbers = _evaluated(self.opened(), self.checkpoint, self.workers)
         if self.json:
             print(json.dumps(numbers))
+        return 0
+
+
+@dataclass(frozen=True)
+class EvaluateController(OnCase):
+    """Play a controller that was not trained, for a flow against the uncontrolled one."""
+
+    controller: str = "none"
+    """none, constant, harmonic, feedback; or module:function, (observation, info) -> action."""
+    numbers: tuple[float, ...] | None = None
+    """Numbers of a simple controller, as a search gave them; those of the case's file when not given."""
+    protocol: str = "default"
+    """Which defaults the other settings have, of those that the case's file names."""
+    workers: int = 2
+    """Threads that play."""
+
+    def run(self) -> int:
+        with Bar() as bar:
+            simulation = flows.open_flows(self.chosen(self.protocol), bar)
+        chosen = api.controller_of(simulation, self.controller, self.numbers)
+        with closing(Threads(self.workers)) as where, console.status("evaluating"):
+            found = simulation.judge(chosen, where)
+        show.table(found.table())
+        if self.json:
+            print(json.dumps(found.summary()))
+        return 0
+
+
+@dataclass(frozen=True)
+class Search(OnCase):
+    """Search for the best numbers of a simple controller: the largest mean reward of an episode's second half."""
+
+    controller: Literal["constant", "harmonic", "feedback"] = "constant"
+    """constant: actions are held. harmonic: sines of one frequency. feedback: of the lift and its rate of change."""
+    rounds: int = 8
+    """Generations of the differential evolution, after the first."""
+    seed: int = 0
+    """Seed of the search."""
+    protocol: str = "default"
+    """Which defaults the other settings have, of those that the case's file names."""
+    workers: int = 2
+    """Threads that play."""
+
+    def run(self) -> int:
+        with Bar() as bar, closing(Threads(self.workers)) as where:
+            simulation = flows.open_flows(self.chosen(self.protocol), bar)
+            found = controllers.search(simulation, self.controller, where, self.rounds, self.seed, bar)
+        say("the same at full length: manywake evaluate --case ... --controller ... --numbers ...")
+        show.numbers(dataclasses.asdict(found), self.json)
         return 0
 
 

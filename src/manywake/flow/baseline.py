@@ -9,6 +9,7 @@ import numpy as np
 
 from manywake.case import describe
 from manywake.case.case import Case
+from manywake.flow import batch as batches
 from manywake.flow import mesh as meshes
 from manywake.flow import operators, problem, readings, spinup, stability, statistics, steady
 from manywake.flow.batch import FlowBatch, Start
@@ -25,6 +26,8 @@ FORMAT = 3
 MEAN_PERIODS = 12
 AVERAGED = 200.0
 """Time over which a flow that is not periodic is averaged, in L / U."""
+LATER = 20.0
+"""Time from one of the states that `phases` gives of a flow that is not periodic to the next, in L / U."""
 PHASES = 4
 """Start states of a periodic flow, evenly spread over a period from an upward crossing of the lift on."""
 SPIN_UPS = ((1, "rest"), (2, "rest"), (2, "the steady flow"), (4, "the steady flow"))
@@ -208,14 +211,19 @@ def _rounded(start: Start) -> Start:
     return Start(**{name: _single(part) for name, part in vars(start).items()})
 
 
-def phases(ops: Operators, baseline: Baseline, count: int) -> list[Start]:
+def phases(ops: Operators, baseline: Baseline, count: int, unit: float) -> list[Start]:
     """Return `count` states of the uncontrolled flow: of a periodic one spread evenly over a period from the start on.
 
-    Of others they are the start states, in turn.
+    Of others they are states that the start states come to without control, 20 L / U later, 40 and so on. unit: L / U.
     """
-    period = baseline.statistics.period
+    period, every = baseline.statistics.period, len(baseline.starts)
     if period is None:
-        return [baseline.starts[k % len(baseline.starts)] for k in range(count)]
+        later = batches.started(ops, baseline.starts, min(every, count))
+        later_states: list[Start] = []
+        while len(later_states) < count:
+            spinup.free_run(later, round(LATER * unit / ops.time_step))
+            later_states += [later.state(column) for column in range(later.flows)]
+        return later_states[:count]
     flow, states = FlowBatch(ops, baseline.start, 1), []
     for steps in np.diff([round(k * period / ops.time_step / count) for k in range(count)], prepend=0):
         spinup.free_run(flow, steps)

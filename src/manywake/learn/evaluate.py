@@ -1,11 +1,11 @@
-"""Controlled against uncontrolled: a deterministic policy, for one episode, for the long run, from every phase."""
+"""Controlled against uncontrolled: a controller, for one episode, for the long run, from starts it was not made for."""
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from manywake.case.task import Task
 from manywake.env.control import ControlledFlows, drive
@@ -13,15 +13,26 @@ from manywake.flow import baseline
 from manywake.flow.baseline import Baseline
 from manywake.flow.batch import Start
 from manywake.flow.store import Flow
-from manywake.learn import policy as policies
 from manywake.learn import tables
+from manywake.learn.controllers import Controller
 from manywake.learn.engine import Engine
-from manywake.learn.policy import Policy
 
 LONG_RUN = 4
 """Episode lengths of the long run, without reset."""
 PHASES = 8
-"""Phases of shedding the long run is started from."""
+"""Starts of the long run: phases of shedding, or states that flows come to which do not shed regularly."""
+TABLED = {
+    "cd_uncontrolled": ("C_D uncontrolled", ".4f"),
+    "cd_controlled": ("C_D controlled", ".4f"),
+    "drag_reduction": ("drag reduction", ".2%"),
+    "share_of_shedding_drag": ("share of the shedding drag removed", ".1%"),
+    "cl_mean": ("C_L mean", "+.3f"),
+    "cl_rms": ("C_L rms", ".3f"),
+    "amplitude_rms": ("amplitude rms / limit", ".1%"),
+    "power": ("power C_P of the inputs", ".4f"),
+    "reward": ("reward of an action", ".4f"),
+}
+"""What tables show of `Control`, with a label and a format each."""
 
 
 @dataclass(frozen=True)
@@ -76,26 +87,27 @@ class Evaluation:
 
     def summary(self) -> dict[str, Any]:
         phases = [_plain(control) for control in self.phases]
-        return {**_plain(self.episode), "long_run": _plain(self.long_run), "phases": phases}
+        over = {name: dict(zip(("mean", "error"), self.over_starts(name), strict=True)) for name in TABLED}
+        over = {name: part for name, part in over.items() if np.isfinite(part["mean"])}
+        return {**_plain(self.episode), "long_run": _plain(self.long_run), "phases": phases, "over_starts": over}
+
+    def over_starts(self, name: str) -> tuple[float, float]:
+        """Return the mean over the starts and half the width of its 95 % confidence interval, of a number."""
+        numbers = np.array([getattr(control, name) for control in self.phases])
+        return float(numbers.mean()), float(stats.t.ppf(0.975, PHASES - 1) * numbers.std(ddof=1) / np.sqrt(PHASES))
 
     def table(self) -> list[tuple[str, ...]]:
-        worst = min(self.phases, key=lambda control: -1.0 if control.diverged else control.drag_reduction)
-        windows = (self.episode, self.long_run, worst)
-        rows = [
-            (label, *("blew up" if window.diverged else format(getattr(window, name), style) for window in windows))
-            for name, label, style in (
-                ("cd_uncontrolled", "C_D uncontrolled", ".4f"),
-                ("cd_controlled", "C_D controlled", ".4f"),
-                ("drag_reduction", "drag reduction", ".2%"),
-                ("share_of_shedding_drag", "share of the shedding drag removed", ".1%"),
-                ("cl_mean", "C_L mean", "+.3f"),
-                ("cl_rms", "C_L rms", ".3f"),
-                ("amplitude_rms", "amplitude rms / limit", ".1%"),
-                ("power", "power C_P of the inputs", ".4f"),
-                ("reward", "reward of an action", ".4f"),
-            )
-        ]
-        return [("second halves, policy without noise", "one episode", "long run", f"worst of {PHASES} phases"), *rows]
+        worst = min(self.phases, key=lambda control: -np.inf if control.diverged else control.reward)
+        heads = "second halves, without noise", "one episode", "long run", f"its mean over {PHASES} starts", "worst"
+        rows: list[tuple[str, ...]] = [heads]
+        for name, (label, style) in TABLED.items():
+            windows = [
+                "blew up" if window.diverged else format(getattr(window, name), style)
+                for window in (self.episode, self.long_run, worst)
+            ]
+            mean, error = self.over_starts(name)
+            rows.append((label, *windows[:2], f"{mean:{style}} ± {error:{style.lstrip('+')}}", windows[2]))
+        return rows
 
     def draw(self, folder: Path, tail: str) -> None:
         """Draw the wake, and the learning curve where the folder has a table of episodes."""
@@ -117,7 +129,7 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Evaluations:
-    """Evaluations of one policy at several Reynolds numbers."""
+    """Evaluations of one controller at several Reynolds numbers."""
 
     parts: list[Evaluation]
 
@@ -125,14 +137,12 @@ class Evaluations:
         return {"at": {f"{part.flow.case.reynolds:g}": part.summary() for part in self.parts}}
 
     def table(self) -> list[tuple[str, ...]]:
-        styles = {"cd_uncontrolled": ".4f", "cd_controlled": ".4f", "drag_reduction": ".2%", "cl_mean": "+.3f"}
-        styles |= {"amplitude_rms": ".1%", "power": ".4f", "reward": ".4f"}
-        heads = "C_D uncontrolled", "C_D controlled", "reduction", "C_L mean", "rms / limit", "power", "reward"
-        rows: list[tuple[str, ...]] = [("long run, policy without noise: Re", *heads)]
+        shown = [name for name in TABLED if name not in ("share_of_shedding_drag", "cl_rms")]
+        rows: list[tuple[str, ...]] = [("long run: Re", *(TABLED[name][0] for name in shown))]
         for part in self.parts:
             now = part.long_run
-            numbers = [format(getattr(now, name), style) for name, style in styles.items()]
-            rows.append((f"{part.flow.case.reynolds:g}", *(["blew up"] * len(styles) if now.diverged else numbers)))
+            numbers = [format(getattr(now, name), TABLED[name][1]) for name in shown]
+            rows.append((f"{part.flow.case.reynolds:g}", *(["blew up"] * len(shown) if now.diverged else numbers)))
         return rows
 
     def draw(self, folder: Path, tail: str) -> None:
@@ -147,21 +157,16 @@ def _plain(control: Control) -> dict[str, Any]:
 
 
 def play(
-    flow: Flow,
-    task: Task,
-    choose: Callable[[int, np.ndarray], np.ndarray],
-    starts: list[Start],
-    actions: int,
-    first: int = 0,
+    flow: Flow, task: Task, controller: Controller, starts: list[Start], actions: int, first: int = 0
 ) -> Trajectory:
-    """Run a controller from each start for a number of actions, without reset; choose as in `control.drive`.
+    """Run a controller from each start for a number of actions, without reset.
 
     first: seed of the first start's episode; those of the others follow.
     """
     flows = ControlledFlows(flow, task, len(starts))
     for column, start in enumerate(starts):
         flows.reset([column], [first + column], start)
-    outcomes = [step.outcome for step in drive(flows, choose, actions)]
+    outcomes = [step.outcome for step in drive(flows, controller.on(flows), actions)]
     return Trajectory(
         {name: np.concatenate([outcome.series[name] for outcome in outcomes]) for name in outcomes[0].series},
         np.concatenate([outcome.amplitudes for outcome in outcomes]),
@@ -170,10 +175,9 @@ def play(
     )
 
 
-def _play_policy(simulation: Any, k: int, policy: Policy, starts: list[Start], actions: int, first: int) -> Trajectory:
+def _play(simulation: Any, k: int, controller: Controller, starts: list[Start], actions: int, first: int) -> Trajectory:
     """Play the k-th flow in a worker; simulation: `flows.Flows`, as it was shared."""
-    flow, task = simulation.flows[k], simulation.task
-    return play(flow, task, lambda t, seen: policies.act(policy, seen), starts, actions, first)
+    return play(simulation.flows[k], simulation.task, controller, starts, actions, first)
 
 
 def control(base: Baseline, limits: np.ndarray, part: Trajectory, column: int) -> Control:
@@ -205,15 +209,15 @@ def window(whole: Trajectory, first: int, last: int) -> Trajectory:
     return Trajectory(series, whole.amplitudes[first:last], rewards, whole.ends)
 
 
-def evaluate(shared: Any, k: int, flow: Flow, task: Task, policy: Policy, engine: Engine) -> Evaluation:
-    """Evaluate a policy: `PHASES` long runs side by side, spread over the engine's slots.
+def evaluate(shared: Any, k: int, flow: Flow, task: Task, controller: Controller, engine: Engine) -> Evaluation:
+    """Evaluate a controller: `PHASES` long runs side by side, spread over the engine's slots.
 
     shared: what stands for the simulation in the engine's calls, of which this flow is the k-th.
     """
     base, actions, share = flow.baseline, LONG_RUN * task.actions, -(-PHASES // engine.slots)
-    starts = baseline.phases(flow.operators, base, PHASES)
+    starts = baseline.phases(flow.operators, base, PHASES, flow.case.convective_time)
     spread = [(starts[k : k + share], k) for k in range(0, PHASES, share)]
-    futures = [engine.submit(_play_policy, shared, k, policy, some, actions, first) for some, first in spread]
+    futures = [engine.submit(_play, shared, k, controller, some, actions, first) for some, first in spread]
     parts = [future.result() for future in futures]
     trajectory = Trajectory(
         {name: np.concatenate([part.series[name] for part in parts], axis=1) for name in parts[0].series},

@@ -20,6 +20,7 @@ from manywake.flow.baseline import Progress
 from manywake.flow.store import Flow
 from manywake.learn import evaluate
 from manywake.learn import policy as policies
+from manywake.learn.controllers import Controller, Learnt
 from manywake.learn.engine import Engine
 from manywake.learn.evaluate import Evaluation, Evaluations
 from manywake.learn.policy import Policy
@@ -127,8 +128,12 @@ class Flows(Simulation):
         return self.horizon * (time.perf_counter() - start)
 
     def evaluate(self, policy: Policy, engine: Engine) -> Evaluation | Evaluations:
+        return self.judge(Learnt(policy), engine)
+
+    def judge(self, controller: Controller, engine: Engine) -> Evaluation | Evaluations:
+        """Return what a controller achieves."""
         shared = engine.share(self)
-        found = [evaluate.evaluate(shared, k, flow, self.task, policy, engine) for k, flow in enumerate(self.flows)]
+        found = [evaluate.evaluate(shared, k, flow, self.task, controller, engine) for k, flow in enumerate(self.flows)]
         return Evaluations(found) if self.task.reynolds_numbers else found[0]
 
     def describe(self) -> dict[str, Any]:
