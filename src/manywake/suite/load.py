@@ -40,6 +40,7 @@ class Definition:
     """What a case file says. file: its path, None for a case made in Python. content: what the file held.
 
     protocols: task and learner's settings by name; "default" is TASK and LEARNING, and absent without a TASK.
+    controllers: the numbers of the best simple controllers that were found, by the controllers' names.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Definition:
     references: tuple[Reference, ...] = ()
     file: Path | None = None
     content: bytes = b""
+    controllers: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def sha256(self) -> str | None:
@@ -140,7 +142,7 @@ def _definition(name: str, said: Mapping[str, Any], path: Path, content: bytes) 
     rewards = said.get("REWARDS", {} if task is None else {_name(task.reward): task.reward})
     references = tuple(said.get("REFERENCES", ()))
     given.check(case, references)
-    return Definition(name, case, protocols, rewards, references, path, content)
+    return Definition(name, case, protocols, rewards, references, path, content, said.get("CONTROLLERS", {}))
 
 
 def _name(function: Any) -> str:
