@@ -9,6 +9,7 @@ import numpy as np
 from manywake.case.conditions import Free, FreeSlip, NoSlip, Outflow
 from manywake.case.geometry import distance, inside, outline
 from manywake.case.inputs import Noise
+from manywake.case.sensors import RESERVED, Energy, Probes, Shear
 
 CLEAR = 1.002
 """Points keep this factor away from a body, in its own radii: its facets are parabolas, a little off the curve."""
@@ -294,7 +295,12 @@ def _speed(case: Any, given: Any) -> float:
 
 
 def _check_sensors(case: Any) -> None:
+    if sum(isinstance(sensor, Energy) for sensor in case.sensors) > 1:
+        raise ValueError("sensors: got two of Energy, wanted one, as they would read the same")
     for sensor in case.sensors:
+        if not isinstance(sensor, Probes):
+            _check_integral(case, sensor)
+            continue
         points = np.array(sensor.points, dtype=float)
         if points.ndim != 2 or points.shape[1] != 2:
             raise ValueError(f"sensor {sensor.name!r}: got points of shape {points.shape}, wanted one (x, y) or more")
@@ -304,6 +310,25 @@ def _check_sensors(case: Any) -> None:
                 f"sensor {sensor.name!r}: point {k} is ({points[k, 0]:g}, {points[k, 1]:g}), which is {where[k]}; "
                 "wanted points in the fluid, a little off the bodies"
             )
+
+
+def _check_integral(case: Any, sensor: Any) -> None:
+    name, kind = sensor.name, type(sensor).__name__
+    if "." in name or name in RESERVED:
+        raise ValueError(
+            f"sensor {name!r}: got a name for {kind} that a reading may have, wanted one without a dot, none of "
+            f"{', '.join(RESERVED)}"
+        )
+    if not isinstance(sensor, Shear):
+        return
+    free = {on: condition for condition in case.conditions if isinstance(condition, Free) for on in condition.on}
+    pieces = [piece.name for body in case.bodies for piece in body.pieces()]
+    walls = dict.fromkeys([*(side.name for side in case.domain.sides()), *(body.name for body in case.bodies), *pieces])
+    if sensor.on not in walls or sensor.on in free:
+        given = ", ".join(wall for wall in walls if wall not in free)
+        raise ValueError(
+            f"sensor {name!r}: got the wall {sensor.on!r}, wanted one on which the velocity is given, of {given}"
+        )
 
 
 def _where(case: Any, points: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from gymnasium.spaces import Box
 from manywake.case import sensors
 from manywake.case import task as tasks
 from manywake.case.case import Case
+from manywake.case.case import readings as kinds
 from manywake.case.task import Task
 from manywake.flow import readings, stability
 from manywake.flow.batch import FlowBatch, Start
@@ -56,7 +57,8 @@ class ControlledFlows:
         self.batch = FlowBatch(flow.operators, flow.baseline.start, flows)
         self.mixing = tasks.matrix(task, len(flow.case.actuators))
         self.limits = np.array([actuator.limit for actuator in flow.case.actuators])
-        self.free = {name: float(value) for name, value in flow.baseline.free.items()}
+        free = flow.baseline.free
+        self.free = {name: float(free[name]) for name in kinds(flow.case)}
         self.charge = task.charge(task.reward, flow.baseline.withstood.readings(), self.free)
         self.amplitude, self.wanted = np.zeros((2, len(self.limits), flows))
         self.actions = np.zeros(flows, dtype=np.int64)
@@ -84,10 +86,11 @@ class ControlledFlows:
     def observe(self) -> np.ndarray:
         """Return what the task observes, (B, values) float32, finite and within the observation space.
 
-        Readings are means over the last action, those of the uncontrolled flow before the first. Amplitudes are in
-        units of their limits.
+        Sensors read the flow as it is now, integrals too. Other readings are means over the last action, those of the
+        uncontrolled flow before the first. Amplitudes are in units of their limits.
         """
-        known = {name: part[:, None] for name, part in self.means.items()}
+        measured = {sensor.name for sensor in self.flow.case.sensors}
+        known = {name: part[:, None] for name, part in self.means.items() if name not in measured}
         known["amplitudes"] = (self.amplitude / self.limits[:, None]).T
         parts = [known[name] if name in known else self.batch.read(name) for name in self.task.observe]
         raw = np.nan_to_num(np.concatenate(parts, axis=1), nan=0.0, posinf=0.0, neginf=0.0)
