@@ -127,7 +127,7 @@ def _check_conditions(case: Any) -> None:
             raise ValueError(f"conditions: got {kind} on the body {body!r}, wanted NoSlip, which it has unasked")
     _check_slip(case)
     given_velocity = [] if case.outlet else [c for c in case.conditions if not isinstance(c, Free)]
-    net = sum(_flux(case, condition, condition.on) for condition in given_velocity)
+    net = sum(flux(case, condition, condition.on) for condition in given_velocity)
     if abs(net) > 1e-9 * case.scales.velocity * case.scales.length:
         raise ValueError(
             f"conditions: got a net flux of {net:g} into the domain, wanted none, as no boundary has an Outflow to let "
@@ -156,7 +156,7 @@ def _check_slip(case: Any) -> None:
         )
 
 
-def _flux(case: Any, condition: Any, names: tuple[str, ...]) -> float:
+def flux(case: Any, condition: Any, names: tuple[str, ...]) -> float:
     """Return the flux that a velocity brings into the domain through the sides of some names."""
     net = 0.0
     for side in case.domain.sides():
@@ -223,7 +223,7 @@ def _check_gust(case: Any, gust: Any, sides: list[str]) -> None:
         raise ValueError(
             f"Gust: got the profile {profile!r}, wanted a given velocity without names, as Stream(x=0.0, y=1.0)"
         )
-    net = 0.0 if case.outlet else _flux(case, profile, (on,))
+    net = 0.0 if case.outlet else flux(case, profile, (on,))
     if abs(net) > 1e-9 * case.scales.length:
         raise ValueError(
             f"Gust: got a net flux of {net:g} through {on!r} at amplitude 1, wanted none, as no boundary has an "
