@@ -7,7 +7,7 @@ import pytest
 from manywake.case import replace
 from manywake.env.control import ControlledFlows
 from manywake.flow import problem, readings, store
-from manywake.suite.step import CASE, TASK, calmed
+from manywake.suite.step import CASE, NOISE, TASK, calmed
 
 NAMES = ("power", "gauge", "energy")
 
@@ -48,6 +48,12 @@ def test_the_inflow_peaks_at_one_and_the_viscosity_is_half_over_re(posed):
     u = posed.steady[posed.space.boundary_nodes(["inlet"]), 0]
     np.testing.assert_allclose(u, 16 * y * (0.5 - y), atol=1e-12)
     assert CASE.viscosity == pytest.approx(0.5 / 600)
+
+
+def test_the_noise_has_the_rms_and_the_correlation_of_hydrogyms_filter():
+    share = 0.01 / 0.05  # of the way to a normal number, of rms 1, that theirs goes in a step of 0.01
+    assert NOISE.rms == pytest.approx(np.sqrt(share / (2 - share)))
+    assert np.exp(-0.01 / NOISE.time) == pytest.approx(1 - share, abs=1e-3)
 
 
 def test_the_baseline_withstands_full_strength_and_knows_what_noise_does(flow):

@@ -57,8 +57,8 @@ class ControlledFlows:
         self.batch = FlowBatch(flow.operators, flow.baseline.start, flows)
         self.mixing = tasks.matrix(task, len(flow.case.actuators))
         self.limits = np.array([actuator.limit for actuator in flow.case.actuators])
-        free = flow.baseline.free
-        self.free = {name: float(free[name]) for name in kinds(flow.case)}
+        known, free = kinds(flow.case), flow.baseline.free
+        self.free = {name: float(value) for name, value in free.items() if name in known}
         self.charge = task.charge(task.reward, flow.baseline.withstood.readings(), self.free)
         self.amplitude, self.wanted = np.zeros((2, len(self.limits), flows))
         self.actions = np.zeros(flows, dtype=np.int64)
