@@ -4,9 +4,12 @@ import gymnasium
 import numpy as np
 import pytest
 
+from manywake import plots
 from manywake.case import replace
 from manywake.env.control import ControlledFlows
+from manywake.flow import batch as batches
 from manywake.flow import problem, readings, store
+from manywake.flow.batch import FlowBatch
 from manywake.suite.step import CASE, NOISE, TASK, calmed
 
 NAMES = ("power", "gauge", "energy")
@@ -92,3 +95,14 @@ def test_the_step_has_an_id_and_its_readings_stand_in_the_info():
     env.reset(seed=1)
     *_, info = env.step(np.ones(1, np.float32))
     assert info["energy"] > 0 and {"gauge", "power", "amplitudes"} <= set(info)
+
+
+def test_pictures_of_a_flow_without_bodies_show_what_it_measures(flow, tmp_path):
+    batch, amplitudes = FlowBatch(flow.operators, flow.baseline.start, 1), np.zeros((20, 1, 1))
+    record = batches.recorded(batch, amplitudes, lambda what, share: None, "")
+    series = {name: part[:, 0] for name, part in record.items()}
+    plots.wake(flow, batch.state(0), series, amplitudes[:, :, 0], tmp_path / "wake.png")
+    numbers = {f"{name}_second_half": np.arange(4.0) for name in series}
+    episodes = numbers | {"update": np.zeros(4), "episode": np.arange(4), "wall_s": np.arange(4.0)}
+    plots.learning_curve(episodes, flow.baseline, tmp_path / "curve.png")
+    assert (tmp_path / "wake.png").exists() and (tmp_path / "curve.png").exists()
