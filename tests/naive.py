@@ -299,3 +299,12 @@ def cheapest_cut(below, first=0, last=0):
 def random_matrix(rng, rows, columns, density=0.3):
     """Return a random sparse matrix with a sorted CSR structure."""
     return sp.csr_matrix(rng.normal(size=(rows, columns)) * (rng.random((rows, columns)) < density))
+
+
+def energy(still, start, column, value, u):
+    """The kernel's energy, for one flow: u (n, 2)."""
+    d, total = u - still, 0.0
+    for i in range(len(start) - 1):
+        for k in range(start[i], start[i + 1]):
+            total += value[k] * float(d[i] @ d[column[k]])
+    return total

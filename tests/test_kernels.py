@@ -345,7 +345,7 @@ def test_a_matrix_that_is_not_definite_is_refused():
 
 
 def test_what_acts_on_rounded_fields_is_rounded_and_nothing_else(tiny, tiny_in_doubles):
-    single = {"inverse", "curved_inverse", "linear", "gradient", "coupling", "momentum", "poisson"}
+    single = {"inverse", "curved_inverse", "linear", "gradient", "coupling", "momentum", "poisson", "energy"}
     for ops, number in ((tiny, np.float32), (tiny_in_doubles, np.float64)):
         assert ops.precision == number
         for name, part in ops.tables._asdict().items():

@@ -28,21 +28,31 @@ plt.rcParams.update(
 )
 
 
+def _shown(base: Baseline) -> tuple[tuple[str, str], tuple[str, str]]:
+    """Return the two readings that are drawn, with labels: drag and lift, or what else the case measures."""
+    if "c_d" in base.free:
+        return ("c_d", "$C_D$"), ("c_l", "$C_L$")
+    first, *others = [name for name in base.steady if name != "power"][::-1] or ["power"]
+    second = others[0] if others else first
+    return (first, first), (second, second)
+
+
 def learning_curve(episodes: dict[str, np.ndarray], base: Baseline, path: Path) -> None:
-    """Draw C_D and C_L of the exploring episodes against episodes and wall time; `episodes` as in episodes.csv."""
+    """Draw two readings of the exploring episodes against episodes and wall time; `episodes` as in episodes.csv."""
     figure, axes = plt.subplots(2, 2, figsize=(10, 5.6), sharey="row")
     batch = [episodes["update"] == update for update in np.unique(episodes["update"])]
     along = (episodes["episode"] + 1, "episodes"), (episodes["wall_s"] / 60, "wall time [min]")
     for column, (x, label) in enumerate(along):
-        for row, (name, title) in enumerate((("c_d_second_half", "$C_D$"), ("c_l_second_half", "$C_L$"))):
-            axis = axes[row, column]
-            axis.plot(x, episodes[name], ".", color=CONTROLLED, alpha=0.25, markersize=4, label="an episode")
-            means = [np.nanmean(episodes[name][rows]) for rows in batch]
+        for row, (name, title) in enumerate(_shown(base)):
+            axis, half = axes[row, column], episodes[f"{name}_second_half"]
+            axis.plot(x, half, ".", color=CONTROLLED, alpha=0.25, markersize=4, label="an episode")
+            means = [np.nanmean(half[rows]) for rows in batch]
             axis.plot([x[rows].max() for rows in batch], means, color=CONTROLLED, lw=2, label="mean of an update")
             axis.set(xlabel=label, ylabel=f"{title}, 2nd half of episode")
             axis.grid(alpha=0.25)
-        axes[0, column].axhline(base.free["c_d"], color=UNCONTROLLED, lw=1, label="uncontrolled mean")
-        axes[0, column].axhline(base.steady["c_d"], color=REFERENCE, lw=1, ls="--", label="steady base flow")
+        first = _shown(base)[0][0]
+        axes[0, column].axhline(base.free[first], color=UNCONTROLLED, lw=1, label="uncontrolled mean")
+        axes[0, column].axhline(base.steady[first], color=REFERENCE, lw=1, ls="--", label="steady base flow")
         axes[1, column].axhline(0.0, color=REFERENCE, lw=1, ls="--")
     axes[0, 1].legend(loc="upper right", fontsize=9, frameon=True, framealpha=1.0, edgecolor="none")
     figure.suptitle("Learning curve (exploring policy)", x=0.01, ha="left")
@@ -72,14 +82,14 @@ def _draw_vorticity(axis, case: Case, space: Space, u: np.ndarray):
 
 
 def wake(flow: Flow, end: Start, series: dict[str, np.ndarray], amplitudes: np.ndarray, path: Path) -> None:
-    """Draw the wake uncontrolled and controlled, and C_D, C_L and an amplitude over a long run from the start state.
+    """Draw the flow uncontrolled and controlled, two readings and an amplitude over a long run from the start state.
 
     end: the controlled flow at the end of the run. series: its readings (steps,). amplitudes: (steps, inputs).
     """
     case, base, space = flow.case, flow.baseline, flow.operators.space
     uncontrolled = spinup.free_run(FlowBatch(flow.operators, base.start, 1), len(amplitudes))
     time = (np.arange(len(amplitudes)) + 1) * case.dt
-    free = {name: uncontrolled[name][:, 0] for name in ("c_d", "c_l")}
+    free = {name: uncontrolled[name][:, 0] for name, _ in _shown(base)}
     time = time / case.convective_time
     figure = plt.figure(figsize=(11, 6.6))
     grid = figure.add_gridspec(3, 2, height_ratios=(1.05, 1, 1), hspace=0.55, wspace=0.18)
@@ -90,21 +100,21 @@ def wake(flow: Flow, end: Start, series: dict[str, np.ndarray], amplitudes: np.n
         axis.set_title(name, loc="left", color=color)
     figure.colorbar(picture, ax=figure.axes, shrink=0.75, pad=0.015, label="vorticity [U/L]", extend="both")
     drag, lift = figure.add_subplot(grid[1, :]), figure.add_subplot(grid[2, :])
-    for axis, name, label in ((drag, "c_d", "$C_D$"), (lift, "c_l", "$C_L$")):
+    for axis, (name, label) in zip((drag, lift), _shown(base), strict=True):
         axis.plot(time, free[name], color=UNCONTROLLED, lw=0.8, alpha=0.7, label="uncontrolled")
         axis.plot(time, series[name], color=CONTROLLED, lw=1.2, label="controlled")
         axis.set(xlim=(0, time[-1]), ylabel=label)
         axis.grid(alpha=0.25)
-    steady = base.steady["c_d"]
-    drag.axhline(steady, color=REFERENCE, lw=1, ls="--", label="steady base flow")
-    low = min(steady, np.nanmin(series["c_d"]))
-    drag.set(ylim=(low - 0.03, max(free["c_d"].max(), np.nanmax(series["c_d"])) + 0.12), xticklabels=[])
+    first, _ = _shown(base)[0]
+    drag.axhline(base.steady[first], color=REFERENCE, lw=1, ls="--", label="steady base flow")
+    low, high = min(base.steady[first], np.nanmin(series[first])), max(free[first].max(), np.nanmax(series[first]))
+    drag.set(ylim=(low - 0.03, high + 0.12), xticklabels=[])
     drag.legend(ncols=3, loc="upper right", fontsize=9)
     lift.set_xlabel("time [L/U]")
-    first, right = case.actuators[0], lift.twinx()
-    right.plot(time, amplitudes[:, 0] / first.limit, color=AMPLITUDE, lw=0.8)
+    driven, right = case.actuators[0], lift.twinx()
+    right.plot(time, amplitudes[:, 0] / driven.limit, color=AMPLITUDE, lw=0.8)
     right.set_ylim(-1.05, 1.05)
-    right.set_ylabel(f"{first.on} / limit", color=AMPLITUDE)
+    right.set_ylabel(f"{driven.on} / limit", color=AMPLITUDE)
     right.spines["right"].set_visible(True)
     figure.savefig(path, bbox_inches="tight")
     plt.close(figure)

@@ -11,9 +11,9 @@ from manywake.case.geometry import Box, Circle, Outline, Polygon, Smooth, grid, 
 from manywake.case.inputs import BodyForce, Gust, Jet, Noise, Rotation
 from manywake.case.laws import Exponential, Held, Linear
 from manywake.case.learning import Learning
-from manywake.case.references import Driven, Extremum, Forced, Length, Response, Settled, Statistic, Steady
+from manywake.case.references import Driven, Extremum, Forced, Length, Response, Settled, Statistic, Steady, Twin
 from manywake.case.schemes import BDF2, BDF2_MEAN, GODA
-from manywake.case.sensors import Pressure, Velocity
+from manywake.case.sensors import Energy, Pressure, Shear, Velocity
 from manywake.case.task import PAIR, Task, alike, balanced, pairs, twice_the_worst
 
 __all__ = [
@@ -21,9 +21,9 @@ __all__ = [
     "FreeSlip", "NoSlip", "Outflow", "Parabola", "Stream",
     "Box", "Circle", "Outline", "Polygon", "Smooth", "grid", "ring",
     "Jet", "Rotation", "Gust", "BodyForce", "Noise",
-    "Pressure", "Velocity",
+    "Pressure", "Velocity", "Shear", "Energy",
     "BDF2", "BDF2_MEAN", "GODA",
     "Task", "PAIR", "alike", "balanced", "pairs", "twice_the_worst",
     "Exponential", "Held", "Linear", "Learning",
-    "Driven", "Extremum", "Forced", "Length", "Response", "Settled", "Statistic", "Steady",
+    "Driven", "Extremum", "Forced", "Length", "Response", "Settled", "Statistic", "Steady", "Twin",
 ]  # fmt: skip

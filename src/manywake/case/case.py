@@ -9,7 +9,7 @@ from manywake.case.conditions import Condition, Outflow
 from manywake.case.geometry import Body, Domain
 from manywake.case.inputs import Input, Noise
 from manywake.case.schemes import BDF2_MEAN, Scheme
-from manywake.case.sensors import Sensor
+from manywake.case.sensors import Sensor, integrals
 
 RESOLVED = 100.0
 """The Reynolds number that the default sizes and the schemes' time steps are for."""
@@ -150,11 +150,11 @@ class Case:
 
 
 def readings(case: Case) -> tuple[str, ...]:
-    """Return the names of all readings: c_d, c_l, c_m in total and of each body, and the power.
+    """Return the names of all readings: c_d, c_l, c_m in total and of each body, the power, the sensors' integrals.
 
     C = 2F / (rho U^2 L), force on the body, drag along x, lift along y; moment about the body's centre, over L too,
     counter-clockwise positive. C_P = 2P / (rho U^3 L), of the actuators.
     """
     kinds = ("c_d", "c_l", "c_m") if case.bodies else ()
     each = tuple(f"{kind}.{body.name}" for body in case.bodies for kind in kinds)
-    return (*kinds, *each, "power")
+    return (*kinds, *each, "power", *(sensor.name for sensor in integrals(case.sensors)))

@@ -9,6 +9,7 @@ import numpy as np
 from manywake.case.conditions import Free, FreeSlip, NoSlip, Outflow
 from manywake.case.geometry import distance, inside, outline
 from manywake.case.inputs import Noise
+from manywake.case.sensors import RESERVED, Energy, Probes, Shear
 
 CLEAR = 1.002
 """Points keep this factor away from a body, in its own radii: its facets are parabolas, a little off the curve."""
@@ -126,7 +127,7 @@ def _check_conditions(case: Any) -> None:
             raise ValueError(f"conditions: got {kind} on the body {body!r}, wanted NoSlip, which it has unasked")
     _check_slip(case)
     given_velocity = [] if case.outlet else [c for c in case.conditions if not isinstance(c, Free)]
-    net = sum(_flux(case, condition, condition.on) for condition in given_velocity)
+    net = sum(flux(case, condition, condition.on) for condition in given_velocity)
     if abs(net) > 1e-9 * case.scales.velocity * case.scales.length:
         raise ValueError(
             f"conditions: got a net flux of {net:g} into the domain, wanted none, as no boundary has an Outflow to let "
@@ -155,7 +156,7 @@ def _check_slip(case: Any) -> None:
         )
 
 
-def _flux(case: Any, condition: Any, names: tuple[str, ...]) -> float:
+def flux(case: Any, condition: Any, names: tuple[str, ...]) -> float:
     """Return the flux that a velocity brings into the domain through the sides of some names."""
     net = 0.0
     for side in case.domain.sides():
@@ -222,7 +223,7 @@ def _check_gust(case: Any, gust: Any, sides: list[str]) -> None:
         raise ValueError(
             f"Gust: got the profile {profile!r}, wanted a given velocity without names, as Stream(x=0.0, y=1.0)"
         )
-    net = 0.0 if case.outlet else _flux(case, profile, (on,))
+    net = 0.0 if case.outlet else flux(case, profile, (on,))
     if abs(net) > 1e-9 * case.scales.length:
         raise ValueError(
             f"Gust: got a net flux of {net:g} through {on!r} at amplitude 1, wanted none, as no boundary has an "
@@ -294,9 +295,14 @@ def _speed(case: Any, given: Any) -> float:
 
 
 def _check_sensors(case: Any) -> None:
+    if sum(isinstance(sensor, Energy) for sensor in case.sensors) > 1:
+        raise ValueError("sensors: got two of Energy, wanted one, as they would read the same")
     for sensor in case.sensors:
         if not 0 <= sensor.noise < math.inf:
             raise ValueError(f"sensor {sensor.name!r}: got the noise {sensor.noise:g}, wanted an rms, at least 0")
+        if not isinstance(sensor, Probes):
+            _check_integral(case, sensor)
+            continue
         points = np.array(sensor.points, dtype=float)
         if points.ndim != 2 or points.shape[1] != 2:
             raise ValueError(f"sensor {sensor.name!r}: got points of shape {points.shape}, wanted one (x, y) or more")
@@ -306,6 +312,25 @@ def _check_sensors(case: Any) -> None:
                 f"sensor {sensor.name!r}: point {k} is ({points[k, 0]:g}, {points[k, 1]:g}), which is {where[k]}; "
                 "wanted points in the fluid, a little off the bodies"
             )
+
+
+def _check_integral(case: Any, sensor: Any) -> None:
+    name, kind = sensor.name, type(sensor).__name__
+    if "." in name or name in RESERVED:
+        raise ValueError(
+            f"sensor {name!r}: got a name for {kind} that a reading may have, wanted one without a dot, none of "
+            f"{', '.join(RESERVED)}"
+        )
+    if not isinstance(sensor, Shear):
+        return
+    free = {on: condition for condition in case.conditions if isinstance(condition, Free) for on in condition.on}
+    pieces = [piece.name for body in case.bodies for piece in body.pieces()]
+    walls = dict.fromkeys([*(side.name for side in case.domain.sides()), *(body.name for body in case.bodies), *pieces])
+    if sensor.on not in walls or sensor.on in free:
+        given = ", ".join(wall for wall in walls if wall not in free)
+        raise ValueError(
+            f"sensor {name!r}: got the wall {sensor.on!r}, wanted one on which the velocity is given, of {given}"
+        )
 
 
 def _where(case: Any, points: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from manywake.case.case import Case, readings
+from manywake.case.sensors import integrals
 from manywake.case.task import Task
 
 
@@ -56,9 +57,11 @@ def digest(data: Any) -> str:
 
 
 def flow_digest(chosen: Case) -> str:
-    """Return a hash of all that decides the baseline: the case but for sensors and limits below the strengths."""
+    """Return a hash of all that decides the baseline: the case but for probes and limits below the strengths."""
     data = case(chosen)
     del data["sensors"]
+    if measured := integrals(chosen.sensors):  # the baseline has their statistics
+        data["sensors"] = [{name: part for name, part in plain(s).items() if name != "noise"} for s in measured]
     for actuator, said in zip(chosen.actuators, data["actuators"], strict=True):
         said["strength"] = actuator.strongest
         del said["limit"]

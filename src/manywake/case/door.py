@@ -7,6 +7,7 @@ import numpy as np
 
 from manywake.case import task as tasks
 from manywake.case.case import Case, readings
+from manywake.case.sensors import Probes
 from manywake.case.task import Task
 
 
@@ -18,7 +19,8 @@ def check(case: Case, task: Task) -> None:
     if not case.actuators:
         raise ValueError("actuators: got none, wanted at least one that the agent drives, as Jet or Rotation")
     mixing = tasks.matrix(task, len(case.actuators))
-    known = (*(sensor.name for sensor in case.sensors), *readings(case), "amplitudes")
+    probes = [sensor.name for sensor in case.sensors if isinstance(sensor, Probes)]
+    known = (*probes, *readings(case), "amplitudes")
     for sensor in case.sensors:
         if known.count(sensor.name) > 1:
             raise ValueError(f"sensor {sensor.name!r}: got the name of a reading, wanted another")

@@ -148,9 +148,24 @@ class Forced:
     floor: float = 0.0
 
 
+@dataclass(frozen=True)
+class Twin:
+    """The uncontrolled flow against a twin on a mesh twice as fine at half the time step, that hears the same noise.
+
+    of: numbers as of a `Statistic`, "energy mean". tolerance: of each as a share; a mean may be off by half the width
+    of the twin's 95 % confidence interval too. duration: of the runs from all start states, in the case's unit of time,
+    of which `settle` is not averaged.
+    """
+
+    of: tuple[str, ...]
+    tolerance: float
+    duration: float
+    settle: float
+
+
 Number = Statistic | Steady | Extremum | Length | Response | Driven
 """References that are one number each."""
-Reference = Number | Settled | Forced
+Reference = Number | Settled | Forced | Twin
 
 
 def wall(case: Case, length: Length) -> Side:
@@ -168,7 +183,11 @@ def wall(case: Case, length: Length) -> Side:
 
 def check(case: Case, references: Sequence[Reference]) -> None:
     """Raise ValueError where a reference asks for what a case does not have."""
+    if sum(isinstance(reference, Forced | Twin) for reference in references) > 1:
+        raise ValueError("references: got two of Forced and Twin, wanted one, as a case keeps one fine reference")
     for reference in references:
+        if isinstance(reference, Twin):
+            _check_twin(case, reference)
         if isinstance(reference, Length):
             wall(case, reference)
         elif isinstance(reference, _Number | Extremum):
@@ -188,6 +207,18 @@ def check(case: Case, references: Sequence[Reference]) -> None:
                 f"reference {reference.name!r}: got points {reference.points} with {reference.of!r}, wanted two points "
                 "with 'pressure drop', and with that alone"
             )
+
+
+def _check_twin(case: Case, reference: Twin) -> None:
+    words = [f"{name} {kind}" for name in readings(case) for kind in KINDS]
+    for of in reference.of:
+        if of not in words:
+            raise ValueError(f"reference Twin: got {of!r}, wanted some of {', '.join(words)}")
+    if not 0 < reference.settle < reference.duration:
+        raise ValueError(
+            f"reference Twin: got settle {reference.settle:g} of the duration {reference.duration:g}, wanted it "
+            "positive and shorter"
+        )
 
 
 def _words(case: Case, reference: _Number | Extremum) -> list[str]:

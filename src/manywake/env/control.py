@@ -10,6 +10,7 @@ from gymnasium.spaces import Box
 from manywake.case import sensors
 from manywake.case import task as tasks
 from manywake.case.case import Case
+from manywake.case.case import readings as kinds
 from manywake.case.task import Task
 from manywake.env.errors import Errors
 from manywake.flow import readings, stability
@@ -77,7 +78,8 @@ class ControlledFlows:
         self.batch = FlowBatch(flow.operators, flow.baseline.start, flows)
         self.mixing = tasks.matrix(task, len(flow.case.actuators))
         self.limits = np.array([actuator.limit for actuator in flow.case.actuators])
-        self.free = {name: float(value) for name, value in flow.baseline.free.items()}
+        known, free = kinds(flow.case), flow.baseline.free
+        self.free = {name: float(value) for name, value in free.items() if name in known}
         self.charge = task.charge(task.reward, flow.baseline.withstood.readings(), self.free)
         self.amplitude, self.wanted = np.zeros((2, len(self.limits), flows))
         self.actions = np.zeros(flows, dtype=np.int64)
@@ -132,14 +134,15 @@ class ControlledFlows:
     def observe(self) -> np.ndarray:
         """Return what the task observes, (B, history x values) float32, finite and within the observation space.
 
-        Readings are means over the last action, those of the uncontrolled flow before the first. Amplitudes are in
-        units of their limits.
+        Sensors read the flow as it is now, integrals too. Other readings are means over the last action, those of the
+        uncontrolled flow before the first. Amplitudes are in units of their limits.
         """
         return self._frames.reshape(self.count, -1).copy()
 
     def _look(self, columns: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return what is to be observed now of some flows, (columns, values); sensors draw their errors."""
-        known = {name: part[:, None] for name, part in self.means.items()}
+        measured = {sensor.name for sensor in self.flow.case.sensors}
+        known = {name: part[:, None] for name, part in self.means.items() if name not in measured}
         known["amplitudes"] = (self.amplitude / self.limits[:, None]).T
         parts = [
             known[name][columns] if name in known else self._errors.added(name, self.batch.read(name)[columns], columns)

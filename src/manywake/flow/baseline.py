@@ -9,6 +9,7 @@ import numpy as np
 
 from manywake.case import describe
 from manywake.case.case import Case
+from manywake.case.sensors import Energy
 from manywake.flow import batch as batches
 from manywake.flow import mesh as meshes
 from manywake.flow import operators, problem, readings, spinup, stability, statistics, steady
@@ -42,7 +43,8 @@ class Baseline:
     starts: states that an episode can start from, far apart; the first is the start state. mean: (n, 2) velocity, with
     which `Scheme.mean` advects. fluctuation: (n,) largest deviation from it under full forcing, with which
     `Scheme.damping` damps. statistics: of the uncontrolled flow. steady: readings of the steady flow, the drag that
-    remains with all shedding gone. withstood: what the stability run found.
+    remains with all shedding gone. withstood: what the stability run found. still: (n, 2) velocity of the steady flow,
+    kept where a sensor measures the energy about it, else None.
     """
 
     flow_digest: str
@@ -55,6 +57,7 @@ class Baseline:
     steady: dict[str, float]
     withstood: Withstood
     recipe: str
+    still: np.ndarray | None = None
 
     @property
     def start(self) -> Start:
@@ -66,13 +69,14 @@ class Baseline:
         return self.statistics.means
 
     @property
-    def advecting(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean flow and fluctuation, what `assemble` makes operators with."""
-        return self.mean, self.fluctuation
+    def advecting(self) -> tuple[np.ndarray, ...]:
+        """Mean flow and fluctuation, and the steady flow where it is kept: what `assemble` makes operators with."""
+        return (self.mean, self.fluctuation, *(() if self.still is None else (self.still,)))
 
     def arrays(self) -> dict[str, np.ndarray]:
         parts = {f"start_{name}": np.stack([getattr(start, name) for start in self.starts]) for name in _parts()}
         parts |= {"mean": self.mean, "fluctuation": self.fluctuation}
+        parts |= {} if self.still is None else {"still": self.still}
         named = {
             name: part.astype(np.float32) if (part == _single(part)).all() else part for name, part in parts.items()
         }
@@ -96,11 +100,16 @@ def assemble(
     posed: Problem,
     mean: np.ndarray | None,
     fluctuation: np.ndarray | None = None,
+    still: np.ndarray | None = None,
+    *,
     precision: type = np.float32,
 ) -> Operators:
-    """Return the operators of a case's problem that advect with a mean flow and damp where the flow departs from it."""
+    """Return the operators of a case's problem that advect with a mean flow and damp where the flow departs from it.
+
+    still: (n, 2) velocity of the steady flow, for a sensor that measures the energy about it.
+    """
     how = case.scheme, case.dt, case.viscosity, mean, fluctuation
-    return operators.assemble(posed, *how, case.sensors, precision)
+    return operators.assemble(posed, *how, case.sensors, still, precision)
 
 
 def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None) -> Baseline:
@@ -113,10 +122,10 @@ def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None)
     posed = problem.pose(case, meshes.build(case) if mesh is None else mesh)
     base = steady.solve(case, posed, report)
     found, mean, states, recipe = _street(case, posed, base, report)
-    mean, states = _single(mean), [_rounded(state) for state in states]
+    mean, still, states = _single(mean), _kept(case, base.u), [_rounded(state) for state in states]
     report("fluctuation", 0.0)
-    largest = _fluctuation(case, posed, mean, states, found)
-    ops = assemble(case, posed, mean, largest)
+    largest = _fluctuation(case, posed, mean, still, states, found)
+    ops = assemble(case, posed, mean, largest, still)
     flows = FreeFlows(case, ops, states, base.u)
     kind, record = spinup.settle(flows, spinup.BLOCK, report, "spin-up about the mean")
     starts, free = _recorded(flows, kind, record, report)
@@ -124,8 +133,13 @@ def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None)
     tried = stability.withstood(case, ops, list(starts), free.period, report)
     digests = describe.flow_digest(case), describe.geometry_digest(case)
     recipe += f"; {spinup.BLOCK:g} L/U and more about that mean; {kind}; steady flow by Newton"
-    still = base.readings | {"power": 0.0}
-    return Baseline(*digests, posed.space.mesh, starts, mean, largest, free, still, tried, recipe)
+    without = base.readings | {"power": 0.0}
+    return Baseline(*digests, posed.space.mesh, starts, mean, largest, free, without, tried, recipe, still)
+
+
+def _kept(case: Case, u: np.ndarray) -> np.ndarray | None:
+    """Return the velocity of the steady flow as it is kept, None where no sensor asks for it."""
+    return _single(u) if any(isinstance(sensor, Energy) for sensor in case.sensors) else None
 
 
 def _street(case: Case, posed: Problem, base: SteadyFlow, report: Progress):
@@ -137,7 +151,7 @@ def _street(case: Case, posed: Problem, base: SteadyFlow, report: Progress):
     ways = SPIN_UPS if case.bodies else dict.fromkeys((parts, "the steady flow") for parts, _ in SPIN_UPS)
     for parts, begin in ways:
         chosen = replace(case, time_step=case.dt / parts)
-        ops = assemble(chosen, posed, base.u)
+        ops = assemble(chosen, posed, base.u, still=_kept(case, base.u))
         kicks = spinup.kicks(case, ops, None if begin == "rest" else still)
         flows = FreeFlows(chosen, ops, kicks, base.u)
         try:
@@ -155,12 +169,19 @@ def _street(case: Case, posed: Problem, base: SteadyFlow, report: Progress):
     return period, mean, [spinup.rescaled(state, parts) for state in flows.states()], recipe
 
 
-def _fluctuation(case: Case, posed: Problem, mean: np.ndarray, states: list[Start], period: float | None) -> np.ndarray:
+def _fluctuation(
+    case: Case,
+    posed: Problem,
+    mean: np.ndarray,
+    still: np.ndarray | None,
+    states: list[Start],
+    period: float | None,
+) -> np.ndarray:
     """Return the largest departure from the mean flow (n,) under forcing, at half the step or less."""
     if not case.scheme.damping:
         return np.zeros(len(mean))
     for parts in (2, 4, 8):
-        ops = assemble(replace(case, time_step=case.dt / parts), posed, mean)
+        ops = assemble(replace(case, time_step=case.dt / parts), posed, mean, still=still)
         starts = [spinup.rescaled(state, 1 / parts) for state in states]
         largest = stability.fluctuation(case, ops, starts, mean, period)
         if np.isfinite(largest).all():
@@ -263,6 +284,7 @@ def read(path: Path, case: Case) -> Baseline:
                 fluctuation=data["fluctuation"].astype(np.float64),
                 statistics=statistics.restored(about["statistics"]),
                 withstood=Withstood(tried["held"], tried["smooth"], tuple(tried["names"]), data["samples"]),
+                still=data["still"].astype(np.float64) if "still" in data.files else None,
                 **{name: about[name] for name in _NUMBERS},
             )
     except disk.DAMAGE as error:

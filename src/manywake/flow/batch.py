@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from manywake.flow import readings, stepper
+from manywake.flow import kernels, readings, stepper
 from manywake.flow.disturb import Disturbances
-from manywake.flow.kernels import product
 from manywake.flow.operators import Operators
 from manywake.flow.stepper import State
 from manywake.machine import simd
@@ -102,15 +101,32 @@ class FlowBatch:
 
     def read(self, sensor: str) -> np.ndarray:
         """Return what a sensor reads in all flows, (B, values); of a velocity u0, v0, u1, v1, ..."""
+        if sensor in self.ops.functionals:
+            return self._integrals(self.ops.functionals.index(sensor))
         field, rows = self.ops.sensors[sensor]
         blocks = []
         for width, state in zip(widths(self.flows), self._blocks, strict=True):
             x, components = (state.p, 1) if field == "pressure" else (state.u, 2)
             out = simd.zeros((components, len(rows.start) - 1, 1), width)
             for component in range(components):
-                product(*rows, x, component, out[component])
+                kernels.product(*rows, x, component, out[component])
             blocks.append(simd.numbers(out)[:, :, 0].T.copy().reshape(width, -1))
         return np.concatenate(blocks)[: self.flows]
+
+    def _integrals(self, k: int) -> np.ndarray:
+        """Return functional k of the velocity alone as it is now, (B, 1): a shear, or the energy, which is last."""
+        tables, found = self.ops.tables, []
+        for width, state in zip(widths(self.flows), self._blocks, strict=True):
+            u, out = simd.pairs(state.u), simd.zeros((1, 1), width)
+            if k < len(tables.scale):
+                start, column, value = tables.read_velocity
+                kernels.divergence(start[k : k + 2], column, value, u, out)
+                found.append(tables.scale[k] * simd.numbers(out)[0].T)
+            else:
+                room = simd.zeros((len(u), 1), 2 * width, self.ops.precision)
+                kernels.energy(tables.still, *tables.energy, u, room, out, 0, 0)
+                found.append(simd.numbers(out)[0].T.copy())
+        return np.concatenate(found)[: self.flows]
 
     def state(self, column: int) -> Start:
         """Return a copy of one flow's state."""

@@ -319,6 +319,25 @@ def extrapolate_row(ahead, now, old, e, d, i):
 
 
 @kernel
+def energy(still, start, column, value, u, d, out, r, c):
+    """Set out[r, c] to the energy of u - still: of d, that difference in singles, times the rows, times d (eq. 22).
+
+    still: (n, 2). u, d: pairs, d room in any precision. out: doubles. Rows are the upper half of a symmetric matrix.
+    """
+    for i in range(len(still)):
+        at_rest = join(splat(still[i, 0], out), splat(still[i, 1], out))
+        store(d, i, 0, rounded(sub(load(u, i, 0), at_rest), d))
+    total = splat(0.0, out)
+    for i in range(len(start) - 1):
+        s = splat(0.0, d)
+        for k in range(start[i], start[i + 1]):
+            s = fma(value[k], load(d, column[k], 0), s)
+        both = mul(s, load(d, i, 0))
+        total = add(total, add(double(low(both)), double(high(both))))
+    store(out, r, c, total)
+
+
+@kernel
 def product(start, column, value, x, component, out):
     """Out (rows, 1) = sparse matrix times one component of x."""
     for i in range(len(start) - 1):

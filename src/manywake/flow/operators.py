@@ -16,7 +16,7 @@ import skfem
 from skfem.helpers import dot, grad
 
 from manywake.case.schemes import Scheme
-from manywake.case.sensors import Sensor
+from manywake.case.sensors import Energy, Probes, Sensor
 from manywake.flow import factors
 from manywake.flow import space as spaces
 from manywake.flow.factors import Panels, Rows
@@ -33,7 +33,9 @@ class Tables(NamedTuple):
     fixed: (nodes of given velocity, 2), their values at zero amplitude. slip: how many panels of `momentum` at its end
     are of nodes that slip, and which component is held there. residual, increment: rows of the functionals,
     whose columns count both components of a node, x first; of phi and of A^T phi. read_pressure: of B phi.
-    read_velocity: of forces inside the fluid. wall, flux, scale: (functionals, ...), as in `problem.Functional`.
+    read_velocity: of forces inside the fluid and of walls. wall, flux, scale: (functionals, ...), as in
+    `problem.Functional`. still, energy: the steady velocity (n, 2), and rows of the mass matrix, for `kernels.energy`;
+    empty where that is not read.
     force_rows, force_loads: nodes that forces inside the fluid push, and how, (inputs, nodes, 2).
     """
 
@@ -58,6 +60,8 @@ class Tables(NamedTuple):
     increment: Rows
     read_pressure: Rows
     read_velocity: Rows
+    still: np.ndarray
+    energy: Rows
     wall: np.ndarray
     flux: np.ndarray
     scale: np.ndarray
@@ -70,8 +74,9 @@ class Operators:
 
     velocity_order, pressure_order: numbers of scikit-fem's nodes in the solver's order: velocity nodes that are free,
     those that are read, other fixed ones. free: count of the free ones, the last of which slip. inputs, functionals:
-    their names in the order of amplitudes and of what a step gives. kinetic: (inputs, 3), noise: (disturbances, 3), as
-    in `Problem`. sensors: name -> field and rows, acting on the solver's order. precision: of increments and residuals.
+    their names in the order of amplitudes and of what a step gives, the energy last. kinetic: (inputs, 3), noise:
+    (disturbances, 3), as in `Problem`. sensors: name -> field and rows of probes, acting on the solver's order.
+    precision: of increments and residuals.
     digest: hash of every number a step uses.
     """
 
@@ -132,13 +137,15 @@ def assemble(
     mean: np.ndarray | None = None,
     fluctuation: np.ndarray | None = None,
     sensors: Sequence[Sensor] = (),
+    still: np.ndarray | None = None,
     precision: type = np.float32,
 ) -> Operators:
     """Assemble and factor the operators of a problem (docs/numerics.md, eq. 4-14).
 
     mean: (n, 2) velocity in scikit-fem's order that advects implicitly; ValueError where the scheme wants one and there
-    is none. fluctuation: (n,) largest departure from the mean, by which the scheme damps; none: it does not. precision:
-    of increments and residuals, float64 for comparison; the fields are doubles always.
+    is none. fluctuation: (n,) largest departure from the mean, by which the scheme damps; none: it does not. still:
+    (n, 2) velocity of the steady flow, for the sensor that is about it. precision: of increments and residuals, float64
+    for comparison; the fields are doubles always.
     """
     space, dt, nu = problem.space, time_step, viscosity
     n, m = len(space.x), len(space.mesh.points)
@@ -162,9 +169,10 @@ def assemble(
         "coupling": coupling._replace(column=coupling.column + np.uint32(len(free))),
         "momentum": momentum,
         "poisson": poisson,
+        **_energy(space, sensors, still, velocity),
     }
     tables = Tables(
-        **{name: _rounded(part, precision) for name, part in acting.items()},
+        **{name: part if name == "still" else _rounded(part, precision) for name, part in acting.items()},
         slip=np.array([slipping, problem.held], np.uint32),
         divergence=factors.pair(*(-scheme.new / dt * B[p_free][:, velocity] for B in space.divergence)),
         fixed=problem.steady[velocity[len(free) :]],
@@ -174,8 +182,9 @@ def assemble(
         **_readings(problem, A, nu, velocity, pressure),
         numbers=np.array([scheme.ahead, *scheme.pressure]),
     )
-    names = problem.inputs, tuple(functional.name for functional in problem.functionals)
-    probes = {sensor.name: _sensor(space, sensor, velocity, pressure) for sensor in sensors}
+    energies = [sensor.name for sensor in sensors if isinstance(sensor, Energy)]
+    names = problem.inputs, (*(functional.name for functional in problem.functionals), *energies)
+    probes = {s.name: _sensor(space, s, velocity, pressure) for s in sensors if isinstance(s, Probes)}
     by_input = problem.kinetic, np.array(problem.noise).reshape(-1, 3)
     return Operators(space.mesh, tables, velocity, pressure, len(free), dt, *names, *by_input, probes)
 
@@ -255,7 +264,18 @@ def _readings(problem: Problem, A: sp.csr_matrix, nu: float, velocity, pressure)
     }
 
 
-def _sensor(space: Space, sensor: Sensor, velocity, pressure) -> tuple[str, Rows]:
+def _energy(space: Space, sensors: Sequence[Sensor], still: np.ndarray | None, velocity) -> dict[str, Any]:
+    """Return the steady velocity, and the half of the mass matrix that makes an energy; empty without that sensor."""
+    names = [sensor.name for sensor in sensors if isinstance(sensor, Energy)]
+    if not names:
+        return {"still": np.zeros((0, 2)), "energy": factors.rows(sp.csr_matrix((0, len(velocity))))}
+    if still is None:
+        raise ValueError(f"still: got none, wanted the steady velocity (n, 2) that the sensor {names[0]!r} is about")
+    M = space.mass[velocity][:, velocity]
+    return {"still": still[velocity], "energy": factors.rows(sp.triu(M, 1) + 0.5 * sp.diags(M.diagonal()))}
+
+
+def _sensor(space: Space, sensor: Probes, velocity, pressure) -> tuple[str, Rows]:
     basis, order = (space.pressure, pressure) if sensor.field == "pressure" else (space.velocity, velocity)
     matrix = spaces.probe_matrix(basis, np.array(sensor.points).reshape(-1, 2))
     return sensor.field, factors.rows(matrix[:, order])

@@ -9,6 +9,7 @@ from manywake.case.case import Case
 from manywake.case.conditions import Free, FreeSlip, Outflow
 from manywake.case.geometry import Body, Side
 from manywake.case.inputs import BodyForce, Input
+from manywake.case.sensors import Shear
 from manywake.flow import space as spaces
 from manywake.flow.mesh import Mesh
 from manywake.flow.space import Space
@@ -24,7 +25,8 @@ class Functional:
     phi: (n, 2), zero away from boundaries of given velocity. scale: makes it a coefficient. wall: (inputs + 1,), the
     part of the stress that the gradient form lacks, over the viscosity, at unit amplitude of each input and, last, of
     the steady boundary velocity. flux: (inputs, inputs), momentum that amplitudes j and k carry through the wall.
-    load: (n, 2), a force inside the fluid whose product with the new velocity is added, its power; None for none.
+    load: (n, 2), whose product with the new velocity is added: a force inside the fluid, for its power, or what makes
+    the shear on a wall; None for none.
     """
 
     name: str
@@ -247,7 +249,7 @@ def boundary_flux(space: Space, facets: np.ndarray, velocity: np.ndarray) -> tup
 def _functionals(
     case: Case, space: Space, steady: np.ndarray, profiles: np.ndarray, loads: np.ndarray | None
 ) -> tuple[Functional, ...]:
-    """Return drag, lift and torque of each body, then what the agent's inputs meet."""
+    """Return drag, lift and torque of each body, then what the agent's inputs meet, then the shear on walls."""
     speed, length, count = case.scales.velocity, case.scales.length, len(profiles)
     force, found = 2.0 / (speed**2 * length), []
 
@@ -277,7 +279,19 @@ def _functionals(
         else:
             wall = stretching(_facets(case, space, actuator), profiles[k])
             found.append(Functional(name, profiles[k], -scale, wall, unpushed))
+    for sensor in case.sensors:
+        if isinstance(sensor, Shear):
+            slope = shear(space, space.facets(*_boundaries(space.mesh, sensor.on)))
+            found.append(Functional(sensor.name, np.zeros_like(space.x), 1 / speed, none, unpushed, slope))
     return tuple(found)
+
+
+def shear(space: Space, facets: np.ndarray) -> np.ndarray:
+    """Return the (n, 2) whose product with a velocity is the integral over facets of its shear (`sensors.Shear`)."""
+    wall = skfem.FacetBasis(space.velocity.mesh, skfem.ElementTriP2(), facets=facets, intorder=4)
+    nx, ny = wall.normals  # out of the fluid; with the fluid on the left one walks along (-ny, nx)
+    slope = skfem.LinearForm(lambda v, w: -w.along * (v.grad[0] * nx + v.grad[1] * ny))
+    return np.stack([slope.assemble(wall, along=along) for along in (-ny, nx)], axis=1)
 
 
 def _momentum(case: Case, space: Space, body: Body, profiles: np.ndarray, turn: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ def named(ops: Operators, read: np.ndarray, amplitudes: np.ndarray) -> dict[str,
     read: (steps, functionals, B). amplitudes: (steps, inputs, B), of which those of disturbances may be left out. Sums
     run in one order, so that no bit depends on B. Power is the work of the agent's inputs on the fluid, by pressure,
     friction and force, and as kinetic energy blown in (docs/numerics.md, eq. 17). An input that takes energy out counts
-    as 0 at that step.
+    as 0 at that step. The sensors' integrals come last.
     """
     parts = {name: read[:, k] for k, name in enumerate(ops.functionals)}
     bodies = [name for name in parts if name.partition(".")[0] in KINDS]
@@ -29,7 +29,8 @@ def named(ops: Operators, read: np.ndarray, amplitudes: np.ndarray) -> dict[str,
         q, (first, second, third) = amplitudes[:, k], ops.kinetic[k]
         blown = third * q * q * q + second * q * q + first * q
         power = power + np.maximum(q * parts[f"work.{name}"] + blown, 0.0)
-    return totals | {name: parts[name] for name in bodies} | {"power": power}
+    integrals = {name: part for name, part in parts.items() if name.partition(".")[0] not in (*KINDS, "work")}
+    return totals | {name: parts[name] for name in bodies} | {"power": power} | integrals
 
 
 NO_FLOW = 1e3

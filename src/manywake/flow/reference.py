@@ -24,7 +24,7 @@ from manywake.flow.baseline import Progress
 from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.probe import Field
 from manywake.flow.problem import Problem
-from manywake.flow.statistics import Statistics
+from manywake.flow.statistics import Moments, Statistics
 from manywake.flow.steady import SteadyFlow
 from manywake.flow.store import Flow
 
@@ -143,7 +143,7 @@ class Runs:
 
 
 def checks(runs: Runs, reference: Number | Settled) -> list[Check]:
-    """Return the checks of one reference, but for `Forced`."""
+    """Return the checks of one reference, but for `Forced` and `Twin`."""
     if isinstance(reference, Settled):
         return settled(runs, reference)
     ours = number(runs, reference)
@@ -188,7 +188,11 @@ def statistic(found: Statistics, of: str, convective_time: float) -> float:
     if of == "St":
         return convective_time / found.period if found.period else np.nan
     reading, kind = of.split()
-    moments = found[reading]
+    return of_moments(found[reading], kind)
+
+
+def of_moments(moments: Moments, kind: str) -> float:
+    """Return a number of a reading: its mean, max, min, rms or amplitude."""
     if kind == "amplitude":
         return 0.5 * (moments.high - moments.low)
     return getattr(moments, {"max": "high", "min": "low"}.get(kind, kind))

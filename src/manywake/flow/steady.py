@@ -13,6 +13,7 @@ import skfem
 from scipy.sparse.linalg import splu
 
 from manywake.case.case import Case
+from manywake.case.sensors import integrals
 from manywake.flow import mesh as meshes
 from manywake.flow import problem as problems
 from manywake.flow import space as spaces
@@ -35,7 +36,7 @@ Branch = list[tuple[float, np.ndarray]]
 
 @dataclass(frozen=True)
 class SteadyFlow:
-    """u: (n, 2), p: (m,) in scikit-fem's order. readings: of the bodies, by name."""
+    """u: (n, 2), p: (m,) in scikit-fem's order. readings: of the bodies and of sensors that are integrals, by name."""
 
     u: np.ndarray
     p: np.ndarray
@@ -57,9 +58,25 @@ def solve(case: Case, problem: Problem, report: Report | None = None) -> SteadyF
 
     branch = _follow(equations, [(first, equations.stokes(first))], wanted, FIRST, lambda s: done("steady flow", s))
     x = branch[-1][1] if branch[-1][0] == wanted else _by_a_finer_mesh(case, equations, branch, wanted, done)
-    residual, n = equations.residual(x, wanted)[0], equations.n
-    readings = _readings(case, problem, residual[: 2 * n].reshape(2, n).T)
-    return SteadyFlow(x[: 2 * n].reshape(2, n).T.copy(), x[2 * n :].copy(), readings)
+    return _flow(case, problem, equations, x)
+
+
+def near(case: Case, problem: Problem, u: np.ndarray) -> SteadyFlow:
+    """Find the steady flow near a velocity (n, 2), as of another mesh; RuntimeError where Newton's method fails."""
+    equations, s = _Equations(case, problem), math.log(case.reynolds)
+    x = equations.boundary.copy()
+    x[equations.free] = np.concatenate([*u.T, np.zeros(equations.m)])[equations.free]
+    found, _ = _newton(equations, x, s, TOLERANCE)
+    if found is None:
+        raise RuntimeError("steady flow: Newton's method did not converge from the velocity that was given")
+    return _flow(case, problem, equations, found)
+
+
+def _flow(case: Case, problem: Problem, equations: "_Equations", x: np.ndarray) -> SteadyFlow:
+    n = equations.n
+    residual, u = equations.residual(x, math.log(case.reynolds))[0], x[: 2 * n].reshape(2, n).T.copy()
+    readings = _readings(case, problem, u, residual[: 2 * n].reshape(2, n).T)
+    return SteadyFlow(u, x[2 * n :].copy(), readings)
 
 
 class _Equations:
@@ -206,8 +223,8 @@ def _by_a_finer_mesh(
     )
 
 
-def _readings(case: Case, problem: Problem, residual: np.ndarray) -> dict[str, float]:
-    """Return drag, lift and torque in total and of each body, from the momentum residual (n, 2)."""
+def _readings(case: Case, problem: Problem, u: np.ndarray, residual: np.ndarray) -> dict[str, float]:
+    """Return drag, lift and torque in total and of each body, from the momentum residual (n, 2), then integrals."""
     found: dict[str, float] = dict.fromkeys(KINDS, 0.0) if case.bodies else {}
     for functional in problem.functionals:
         kind, _, body = functional.name.partition(".")
@@ -215,7 +232,8 @@ def _readings(case: Case, problem: Problem, residual: np.ndarray) -> dict[str, f
             value = -float((functional.phi * residual).sum()) + case.viscosity * float(functional.wall[-1])
             found[f"{kind}.{body}"] = functional.scale * value
             found[kind] += found[f"{kind}.{body}"]
-    return found
+    slopes = {f.name: f.scale * float((f.load * u).sum()) for f in problem.functionals if f.load is not None}
+    return found | {sensor.name: slopes.get(sensor.name, 0.0) for sensor in integrals(case.sensors)}
 
 
 def pressure_at(space: Space, p: np.ndarray, points: list[tuple[float, float]]) -> np.ndarray:

@@ -80,6 +80,8 @@ def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, parts, p_star, amplitudes,
         for i in range(mf):
             store(p, i, 0, add(load(p, i, 0), double(load(phi, i, 0))))
         _read_increments(ops, s, parts, u, p, p_star, readings)
+        if len(ops.still) > 0:
+            kernels.energy(ops.still, *ops.energy[:], u, y, readings, s, len(ops.scale))
     return u, u_old, phi, phi_old
 
 

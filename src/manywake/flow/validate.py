@@ -11,14 +11,18 @@ from pathlib import Path
 
 import numpy as np
 
+from manywake.case import checks as fits
 from manywake.case import references as said
-from manywake.case.references import Forced, Reference
+from manywake.case.case import Case
+from manywake.case.inputs import Gust
+from manywake.case.references import Forced, Reference, Twin
 from manywake.case.schemes import Scheme
-from manywake.flow import exact, forced, problem, readings, reference
+from manywake.flow import exact, forced, problem, readings, reference, twin
 from manywake.flow.baseline import Progress
 from manywake.flow.batch import FlowBatch
 from manywake.flow.problem import Problem
 from manywake.flow.reference import Check, Runs
+from manywake.flow.space import Space
 from manywake.flow.store import Flow
 from manywake.machine import disk
 
@@ -36,20 +40,22 @@ def run(
 ) -> list[Check]:
     """Return all checks of a flow, in about a minute on one core, and longer where other flows must be spun up.
 
-    mixing: (inputs,), how the first action drives them. kept: file of the fine reference that `Forced` compares with;
-    recompute: make that anew first (some ten minutes). ValueError when it is not there, or of another flow, or when a
-    reference asks for what the case does not have.
+    mixing: (inputs,), how the first action drives them. kept: file of the fine reference that `Forced` and `Twin`
+    compare with; recompute: make that anew first (some ten minutes). ValueError when it is not there, or of another
+    flow, or when a reference asks for what the case does not have.
     """
     said.check(flow.case, references)
     report = progress or (lambda what, share: None)
     runs, checks = Runs(flow, report), []
     for number in references:
-        if not isinstance(number, Forced):
+        if not isinstance(number, Forced | Twin):
             checks += reference.checks(runs, number)
     checks += [viscosity(flow), *fluxes(flow, runs.posed), *forces(flow)]
     for number in references:
         if isinstance(number, Forced) and mixing is not None and kept is not None:
             checks += controlled(flow, number, mixing, kept, report, recompute)
+        elif isinstance(number, Twin) and kept is not None:
+            checks += twins(flow, number, kept, report, recompute)
     report("orders", 0.0)
     return checks + orders(flow.case.scheme)
 
@@ -67,13 +73,28 @@ def viscosity(flow: Flow) -> Check:
 def fluxes(flow: Flow, posed: Problem) -> list[Check]:
     """Fluxes of the discrete inputs, as the time loop imposes them: of each through its wall, of a pair through all."""
     tables, space = flow.operators.tables, posed.space
-    blowing = [(k, actuator) for k, actuator in enumerate(flow.case.inputs) if actuator.flux is not None]
+    profiles = np.zeros_like(posed.profiles)
+    profiles[:, flow.operators.velocity_order[tables.input_rows]] = tables.input_profile
+    return [*_gusts(flow.case, space, profiles), *_jets(flow.case, space, profiles, posed.flux_error)]
+
+
+def _gusts(case: Case, space: Space, profiles: np.ndarray) -> list[Check]:
+    """Fluxes of the agent's gusts against those of their profiles."""
+    found = []
+    for k, actuator in enumerate(case.actuators):
+        if isinstance(actuator, Gust):
+            flux, _ = problem.boundary_flux(space, space.facets(actuator.on), profiles[k])
+            wanted = fits.flux(case, actuator.profile, (actuator.on,))
+            found.append(Check(f"flux of {actuator.on} at amplitude 1", flux, wanted, 1e-9, "absolute", "its profile"))
+    return found
+
+
+def _jets(case: Case, space: Space, profiles: np.ndarray, flux_error: np.ndarray) -> list[Check]:
+    blowing = [(k, actuator) for k, actuator in enumerate(case.inputs) if actuator.flux is not None]
     if not blowing:
         return []
     walls = {actuator.on.partition(".")[0] for _, actuator in blowing}
     facets = space.facets(*(name for name in sorted(space.mesh.boundaries) if name.partition(".")[0] in walls))
-    profiles = np.zeros_like(posed.profiles)
-    profiles[:, flow.operators.velocity_order[tables.input_rows]] = tables.input_profile
     checks = []
     for k, actuator in blowing:
         flux, _ = problem.boundary_flux(space, space.facets(actuator.on), profiles[k])
@@ -83,7 +104,7 @@ def fluxes(flow: Flow, posed: Problem) -> list[Check]:
         (first, _), (second, _) = blowing[:2]
         net, _ = problem.boundary_flux(space, facets, profiles[first] - profiles[second])
         checks.append(Check("net flux at amplitudes 1, -1", net, 0.0, 1e-12, "absolute", "exact"))
-    error = float(abs(posed.flux_error).max())
+    error = float(abs(flux_error).max())
     return [*checks, Check("flux error before scaling", error, 0.005, 0.0, "at most", "two facets a jet give 0.22 %")]
 
 
@@ -143,6 +164,24 @@ def controlled(
         for name, quantities in forced.changes(record, reference, flow.case.dt).items()
         for quantity, value in quantities.items()
     ]
+
+
+def twins(flow: Flow, wanted: Twin, kept: Path, report: Progress, recompute: bool) -> list[Check]:
+    """The uncontrolled flow's statistics against those of its twin on the fine mesh."""
+    if recompute:
+        made = json.dumps(twin.fine(flow, wanted, report), indent=1).encode()
+        disk.write(kept, lambda file: file.write(made))
+    theirs, ours = twin.kept(flow, wanted, kept), twin.ours(flow, wanted, report)
+    checks, source = [], "twin: mesh twice as fine, half the time step, same noise"
+    for of in wanted.of:
+        name, kind = of.split()
+        mine, other = (reference.of_moments(found[name], kind) for found in (ours, theirs))
+        share, error = wanted.tolerance * abs(other), theirs[name].error if kind == "mean" else 0.0
+        if error > share:
+            checks.append(Check(of, mine, other, error, "absolute", f"{source}; its confidence interval"))
+        else:
+            checks.append(Check(of, mine, other, wanted.tolerance, "relative", source))
+    return checks
 
 
 def _change(name: str, ours: float, theirs: float, reference: Forced) -> Check:

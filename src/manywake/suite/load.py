@@ -28,6 +28,7 @@ from manywake.case.laws import Held, Law, Linear
 from manywake.case.learning import Learning
 from manywake.case.references import Reference
 from manywake.case.schemes import SCHEMES
+from manywake.case.sensors import Probes
 from manywake.case.task import Reward, Task
 
 DEFAULT = "cylinder-jets"
@@ -273,6 +274,7 @@ def case_settings(case: Case) -> dict[str, Setting]:
         found["limit"] = Setting(None, float | None, "Largest amplitude of every actuator.")
     for s in case.sensors:
         found[f"noise.{s.name}"] = Setting(s.noise, float, f"Root mean square of the error of {s.name}, in its unit.")
+    for s in (sensor for sensor in case.sensors if isinstance(sensor, Probes)):
         found[f"points.{s.name}"] = Setting(
             s.points, points, f"Points (x, y) of the sensor {s.name}, in the case's unit of length."
         )
