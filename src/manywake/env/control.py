@@ -94,10 +94,8 @@ class ControlledFlows:
 
         seeds: of the episodes, one for each column. start: where all begin, if not where their seeds say.
         """
-        starts = self.flow.baseline.starts
         for column, seed in zip(columns, seeds, strict=True):
-            begun = starts[tasks.begun(self.task, seed, len(starts))] if start is None else start
-            self.batch.reset([column], begun, [seed])
+            self.batch.reset([column], self._start(seed) if start is None else start, [seed])
             self._errors.reset(column, seed)
         self.amplitude[:, columns] = self.wanted[:, columns] = 0.0
         self._pending[:, columns] = 0.0
@@ -105,6 +103,12 @@ class ControlledFlows:
         for name, value in self.free.items():
             self.means[name][columns] = value
         self._frames[columns] = self._look(columns)[:, None]
+
+    def _start(self, seed: int) -> Start:
+        """Return the state that an episode of this seed begins from."""
+        if self.task.starts == "first":
+            return self.flow.baseline.start
+        return self.flow.starts[tasks.begun(self.task, seed, len(self.flow.starts))]
 
     def snapshot(self, column: int) -> Snapshot:
         """Return all that one flow's future depends on."""

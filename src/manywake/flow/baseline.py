@@ -1,6 +1,7 @@
 """The baseline of a case, what every run starts from: mesh, start states, mean flow, statistics, what it withstands."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,8 @@ from manywake.case.case import Case
 from manywake.case.sensors import Energy
 from manywake.flow import batch as batches
 from manywake.flow import mesh as meshes
-from manywake.flow import operators, problem, readings, spinup, stability, statistics, steady
-from manywake.flow.batch import FlowBatch, Start
+from manywake.flow import operators, problem, spinup, stability, statistics, steady
+from manywake.flow.batch import Start
 from manywake.flow.mesh import Mesh
 from manywake.flow.operators import Operators
 from manywake.flow.problem import Problem
@@ -23,14 +24,14 @@ from manywake.flow.statistics import Kind, Statistics
 from manywake.flow.steady import SteadyFlow
 from manywake.machine import disk
 
-FORMAT = 3
+FORMAT = 4
 MEAN_PERIODS = 12
 AVERAGED = 200.0
 """Time over which a flow that is not periodic is averaged, in L / U."""
 LATER = 20.0
 """Time from one of the states that `phases` gives of a flow that is not periodic to the next, in L / U."""
 PHASES = 4
-"""Start states of a periodic flow, evenly spread over a period from an upward crossing of the lift on."""
+"""Start states of a periodic flow for each that is kept, evenly spread over a period from it on."""
 SPIN_UPS = ((1, "rest"), (2, "rest"), (2, "the steady flow"), (4, "the steady flow"))
 """How a spin-up is tried, one way after another where it blows up: parts that the step is cut into, and from what."""
 _NUMBERS = ("flow_digest", "geometry_digest", "steady", "recipe")
@@ -40,7 +41,8 @@ _NUMBERS = ("flow_digest", "geometry_digest", "steady", "recipe")
 class Baseline:
     """The uncontrolled flow of one case; fields are in scikit-fem's order, doubles that singles can hold when made.
 
-    starts: states that an episode can start from, far apart; the first is the start state. mean: (n, 2) velocity, with
+    starts: states of the developed flow, far apart; of a periodic one those that are no phases of each other. The first
+    is the start state. mean: (n, 2) velocity, with
     which `Scheme.mean` advects. fluctuation: (n,) largest deviation from it under full forcing, with which
     `Scheme.damping` damps. statistics: of the uncontrolled flow. steady: readings of the steady flow, the drag that
     remains with all shedding gone. withstood: what the stability run found. still: (n, 2) velocity of the steady flow,
@@ -130,7 +132,7 @@ def make(case: Case, mesh: Mesh | None = None, progress: Progress | None = None)
     kind, record = spinup.settle(flows, spinup.BLOCK, report, "spin-up about the mean")
     starts, free = _recorded(flows, kind, record, report)
     starts = tuple(_rounded(start) for start in starts)
-    tried = stability.withstood(case, ops, list(starts), free.period, report)
+    tried = stability.withstood(case, ops, spread(ops, starts, free.period), free.period, report)
     digests = describe.flow_digest(case), describe.geometry_digest(case)
     recipe += f"; {spinup.BLOCK:g} L/U and more about that mean; {kind}; steady flow by Newton"
     without = base.readings | {"power": 0.0}
@@ -202,13 +204,9 @@ def _recorded(flows: FreeFlows, kind: Kind, last: dict[str, np.ndarray], report:
     kept = spinup.apart(last)
     period = statistics.period(last[flows.clock][:, 0], dt) / unit
     _to_crossing(flows, last[flows.clock][:, 0])
-    starts, record = [], []
-    every = (1 + MEAN_PERIODS) * period
-    for k in range(PHASES):
-        starts += [flows.batch.state(column) for column in kept]
-        record.append(flows.run(period / PHASES, report, "statistics", k * period / PHASES, every))
-    record.append(flows.run(MEAN_PERIODS * period, report, "statistics", period, every))
-    kept_record = {name: series[:, kept] for name, series in readings.joined(record).items()}
+    starts = [flows.batch.state(column) for column in kept]
+    record = flows.run((1 + MEAN_PERIODS) * period, report, "statistics")
+    kept_record = {name: series[:, kept] for name, series in record.items()}
     return starts, statistics.uncontrolled(kept_record, flows.clock, dt, kind)
 
 
@@ -237,18 +235,28 @@ def phases(ops: Operators, baseline: Baseline, count: int, unit: float) -> list[
 
     Of others they are states that the start states come to without control, 20 L / U later, 40 and so on. unit: L / U.
     """
-    period, every = baseline.statistics.period, len(baseline.starts)
+    period = baseline.statistics.period
+    if period is not None:
+        return spread(ops, [baseline.start], period, count)
+    later = batches.started(ops, baseline.starts, min(len(baseline.starts), count))
+    states: list[Start] = []
+    while len(states) < count:
+        spinup.free_run(later, round(LATER * unit / ops.time_step))
+        states += [later.state(column) for column in range(later.flows)]
+    return states[:count]
+
+
+def spread(ops: Operators, starts: Sequence[Start], period: float | None, count: int = PHASES) -> list[Start]:
+    """Return the states that periodic flows come to at `count` phases of a period, those of one phase together.
+
+    Without a period they are the starts as they are.
+    """
     if period is None:
-        later = batches.started(ops, baseline.starts, min(every, count))
-        later_states: list[Start] = []
-        while len(later_states) < count:
-            spinup.free_run(later, round(LATER * unit / ops.time_step))
-            later_states += [later.state(column) for column in range(later.flows)]
-        return later_states[:count]
-    flow, states = FlowBatch(ops, baseline.start, 1), []
+        return list(starts)
+    flow, states = batches.started(ops, starts, len(starts)), []
     for steps in np.diff([round(k * period / ops.time_step / count) for k in range(count)], prepend=0):
         spinup.free_run(flow, steps)
-        states.append(flow.state(0))
+        states += [flow.state(column) for column in range(flow.flows)]
     return states
 
 

@@ -2,6 +2,7 @@
 
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
 from threading import Lock
@@ -13,6 +14,7 @@ from manywake.case import describe
 from manywake.case.case import Case
 from manywake.flow import baseline, problem
 from manywake.flow.baseline import FORMAT, Baseline, Progress
+from manywake.flow.batch import Start
 from manywake.flow.mesh import Mesh
 from manywake.flow.operators import Operators
 
@@ -27,6 +29,12 @@ class Flow:
     case: Case
     operators: Operators
     baseline: Baseline
+
+    @cached_property
+    def starts(self) -> tuple[Start, ...]:
+        """States that an episode can start from, far apart; the first is the start state."""
+        base = self.baseline
+        return tuple(baseline.spread(self.operators, base.starts, base.statistics.period))
 
 
 def shipped() -> list[Path]:
