@@ -130,7 +130,8 @@ class Baseline(OnCase):
         described: dict[str, Any] = {"case": self.case, "flow_digest": base.flow_digest, "digest": base.digest()}
         described |= {"recipe": base.recipe, "check": "content matches its hash and its case"}
         free, period = base.statistics, base.statistics.period
-        described |= {"triangles": len(base.mesh.triangles), "kind": free.kind, "start states": len(base.starts)}
+        starts = len(base.starts) * (baseline.PHASES if period else 1)
+        described |= {"triangles": len(base.mesh.triangles), "kind": free.kind, "start states": starts}
         if period:
             described |= {"period": period, "St": case.convective_time / period}
         for name, moments in free.readings.items():
