@@ -69,7 +69,7 @@ def test_start_state_continues_the_karman_street(name):
     # and the mean of each reading is that of the statistics
     body = chosen.bodies[0].name
     assert base.free["c_d"] == base.free[f"c_d.{body}"] == base.statistics["c_d"].mean
-    assert base.free["c_l"] == base.free["c_l.cylinder"] == base.statistics["c_l"].mean
+    assert base.free["c_l"] == base.free[f"c_l.{body}"] == base.statistics["c_l"].mean
 
 
 @streets
