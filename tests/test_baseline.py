@@ -67,8 +67,9 @@ def test_start_state_continues_the_karman_street(name):
     assert abs(c_l[0] - 0.5 * (c_l.max() + c_l.min())) < 0.05
     assert c_l[10] > c_l[0]
     # and the mean of each reading is that of the statistics
-    assert base.free["c_d"] == base.free["c_d.cylinder"] == base.statistics["c_d"].mean
-    assert base.free["c_l"] == base.free["c_l.cylinder"] == base.statistics["c_l"].mean
+    body = chosen.bodies[0].name
+    assert base.free["c_d"] == base.free[f"c_d.{body}"] == base.statistics["c_d"].mean
+    assert base.free["c_l"] == base.free[f"c_l.{body}"] == base.statistics["c_l"].mean
 
 
 @streets
