@@ -57,6 +57,8 @@ PROTOCOLS = {
     "paper": (replace(TASK, actions=80, reward=paper), RELEASED),
     "code": (replace(TASK, actions=80, reward=code, law=Linear()), RELEASED),
 }
+# manywake search --controller NAME
+CONTROLLERS = {"constant": (-0.0134,), "harmonic": (0.5347, 0.3701), "feedback": (-0.0844, -0.1627)}
 
 FEATFLOW = "Schafer & Turek 1996, FeatFlow"
 LEVEL_6 = "FeatFlow Q2/P1 level 6, dt 1/1600"
