@@ -11,6 +11,7 @@ import manywake
 from manywake.case import replace
 from manywake.env.control import ControlledFlows
 from manywake.learn import controllers
+from manywake.learn import policy as policies
 from manywake.learn.controllers import FAMILIES, Learnt, Own, Simple, simple
 from manywake.learn.engine import Threads
 from manywake.learn.flows import Flows
@@ -112,7 +113,9 @@ def test_what_is_no_action_is_refused(shipped, bad):
 def test_wrong_names_and_numbers_are_refused_with_the_remedy():
     with pytest.raises(ValueError, match="numbers: got 1, wanted 2 for harmonic .*; find them with: manywake search"):
         simple("harmonic", (0.1,), 1)
-    with pytest.raises(ValueError, match="controller: got 'best', wanted none, constant, harmonic, feedback, or"):
+    with pytest.raises(
+        ValueError, match="controller: got 'best', wanted none, constant, harmonic, feedback, pretrained, or"
+    ):
         simple("best", (), 1)
     for name in ("nothing_there:act", "json:nothing_there"):
         with pytest.raises(ValueError, match="wanted module:function"):
@@ -156,3 +159,15 @@ def test_the_command_plays_a_controller_of_a_case():
     assert done.returncode == 0, done.stderr
     same = manywake.judge(controller="constant", numbers=(0.3,), actions=2).summary()
     assert json.loads(done.stdout.splitlines()[-1]) == json.loads(json.dumps(same))
+
+
+def test_a_policy_that_ships_is_played_by_its_case_and_refused_by_another_task(shipped, tmp_path):
+    layers = ((np.zeros((1, 151), np.float32), np.array([0.3], np.float32)),)
+    policies.write(Policy(0, np.zeros(151), np.ones(151), layers, np.zeros(1), np.ones(1)), tmp_path / "policy.npz")
+    flows = ControlledFlows(shipped, SHORT, 2)
+    choose = controllers.shipped(tmp_path / "policy.npz", "cylinder-jets", 151).on(flows)
+    np.testing.assert_allclose(choose(0, flows.observe()), 0.3, rtol=1e-6)
+    with pytest.raises(ValueError, match="made for 151 observed values, got a task with 302"):
+        controllers.shipped(tmp_path / "policy.npz", "cylinder-jets", 302)
+    with pytest.raises(ValueError, match="no policy ships with wake, wanted one; train it: manywake train --case wake"):
+        controllers.shipped(None, "wake", 151)

@@ -134,7 +134,8 @@ def judge(
 ) -> Evaluation | Evaluations:
     """Return what a controller without a training achieves.
 
-    case, task, overrides: as in `manywake.choose`. controller: none, constant, harmonic or feedback, a function
+    case, task, overrides: as in `manywake.choose`. controller: none, constant, harmonic or feedback; pretrained, the
+    policy that ships with the case; a function
     (observation, info) -> action, or a class whose objects are such functions, one for each flow; or such by name,
     module:function. numbers: of a simple one, those of the case's file when not given. workers: threads that play it.
     """
@@ -151,7 +152,10 @@ def controller_of(
         return controllers.Own(controller)
     if ":" in controller:
         return controllers.own(controller)
-    known = simulation.chosen.definition.controllers
+    definition = simulation.chosen.definition
+    if controller == "pretrained":
+        return controllers.shipped(definition.policy, definition.name, simulation.spaces()[0].shape[0])
+    known = definition.controllers
     chosen = known.get(controller, ()) if numbers is None else numbers
     return controllers.simple(controller, chosen, simulation.spaces()[1].shape[0])
 

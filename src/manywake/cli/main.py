@@ -40,13 +40,13 @@ def _hand_over(command: str, words: list[str]) -> None:
 
 def _of_no_run(words: list[str]) -> bool:
     """Return whether the words evaluate a controller that comes from no run."""
-    return words[:1] == ["evaluate"] and any(word.partition("=")[0] == "--controller" for word in words)
+    return words[:1] == ["evaluate"] and any(w.partition("=")[0] in ("--controller", "--pretrained") for w in words)
 
 
 def _commands(words: list[str]) -> Any:
     """Return all commands; those that take a case with the settings of the one that the words name."""
-    on_case = words[:1] in (["train"], ["validate"], ["baseline"], ["search"]) or _of_no_run(words)
-    asked = first(words[1:] if on_case else [])
+    plays = words[:1] in (["train"], ["search"]) or _of_no_run(words)
+    asked = first(words[1:] if plays or words[:1] in (["validate"], ["baseline"]) else [])
     definition = load.load(asked.case)
     commands: tuple[Any, ...] = (
         command(Validate, definition, case=asked.case),
@@ -55,7 +55,7 @@ def _commands(words: list[str]) -> Any:
     )
     if not _of_no_run(words):
         commands = (*commands, Evaluate)
-    if asked.protocol in definition.protocols or on_case:  # a flow without a task has nothing to learn or to play
+    if asked.protocol in definition.protocols or plays:  # a flow without a task has nothing to learn or to play
         learning = definition.protocol(asked.protocol)[1]
         commands = (command(Train, definition, **vars(asked), learning=learning), *commands)
         commands += (command(Search, definition, **vars(asked)),)

@@ -104,7 +104,11 @@ class Resume(OnRun):
 
 @dataclass(frozen=True)
 class Evaluate(OnRun):
-    """Play a run's deterministic policy, for a flow against the uncontrolled one."""
+    """Play a run's deterministic policy, for a flow against the uncontrolled one.
+
+    Without a run: manywake evaluate --case NAME --controller none|constant|harmonic|feedback|module:function, or
+    --pretrained for the policy that ships with the case; --help beside them lists their options.
+    """
 
     checkpoint: Literal["last", "best"] = "last"
     """Which policy: the last, or the one whose episodes had the best mean reward."""
@@ -120,10 +124,12 @@ class Evaluate(OnRun):
 
 @dataclass(frozen=True)
 class EvaluateController(OnCase):
-    """Play a controller that was not trained, for a flow against the uncontrolled one."""
+    """Play a controller of no run, for a flow against the uncontrolled one."""
 
     controller: str = "none"
     """none, constant, harmonic, feedback; or module:function, (observation, info) -> action."""
+    pretrained: bool = False
+    """Play the policy that ships with the case."""
     numbers: tuple[float, ...] | None = None
     """Numbers of a simple controller, as a search gave them; those of the case's file when not given."""
     protocol: str = "default"
@@ -134,7 +140,7 @@ class EvaluateController(OnCase):
     def run(self) -> int:
         with Bar() as bar:
             simulation = flows.open_flows(self.chosen(self.protocol), bar)
-        chosen = api.controller_of(simulation, self.controller, self.numbers)
+        chosen = api.controller_of(simulation, "pretrained" if self.pretrained else self.controller, self.numbers)
         with closing(Threads(self.workers)) as where, console.status("evaluating"):
             found = simulation.judge(chosen, where)
         show.table(found.table())

@@ -9,6 +9,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -159,7 +160,7 @@ FAMILIES = {
 def simple(name: str, numbers: Sequence[float], actions: int) -> Simple:
     """Return a simple controller; ValueError where its numbers are not as many as its family wants."""
     if name not in FAMILIES:
-        raise ValueError(f"controller: got {name!r}, wanted {', '.join(FAMILIES)}, or module:function")
+        raise ValueError(f"controller: got {name!r}, wanted {', '.join(FAMILIES)}, pretrained, or module:function")
     family = FAMILIES[name]
     if len(numbers) != family.size(actions):
         remedy = "find them with: manywake search" if family.size(actions) else "leave them out"
@@ -182,6 +183,18 @@ def own(name: str) -> Own:
     if not callable(found):
         raise ValueError(f"controller: {name} is {found!r}, wanted a function (observation, info) -> action")
     return Own(found)
+
+
+def shipped(path: Path | None, name: str, values: int) -> Learnt:
+    """Return the policy that ships with a case; ValueError where there is none, or it was made for another task."""
+    if path is None:
+        raise ValueError(f"pretrained: no policy ships with {name}, wanted one; train it: manywake train --case {name}")
+    found = policies.read(path)
+    if len(found.mean) != values:
+        raise ValueError(
+            f"pretrained: the policy of {name} was made for {len(found.mean)} observed values, got a task with {values}"
+        )
+    return Learnt(found)
 
 
 @dataclass(frozen=True)

@@ -101,6 +101,8 @@ class Evaluation:
         heads = "second halves, without noise", "one episode", "long run", f"its mean over {PHASES} starts", "worst"
         rows: list[tuple[str, ...]] = [heads]
         for name, (label, style) in TABLED.items():
+            if np.isnan(getattr(self.episode, name)) and not self.episode.diverged:
+                continue  # what a flow without bodies has not
             windows = [
                 "blew up" if window.diverged else format(getattr(window, name), style)
                 for window in (self.episode, self.long_run, worst)

@@ -63,6 +63,12 @@ class Definition:
         return self.file is not None and self.file.parent == Path(__file__).parent
 
     @property
+    def policy(self) -> Path | None:
+        """The file of the policy that ships with it, if there is one."""
+        path = Path(__file__).parent / "policies" / f"{self.name}.npz"
+        return path if self.shipped and path.exists() else None
+
+    @property
     def task(self) -> Task | None:
         """The task of the default protocol, None where there is none."""
         return self.protocols["default"][0] if "default" in self.protocols else None
