@@ -11,7 +11,7 @@ from manywake.case.geometry import Box, Circle, Outline, Polygon, Smooth, grid, 
 from manywake.case.inputs import BodyForce, Gust, Jet, Noise, Rotation
 from manywake.case.laws import Exponential, Held, Linear
 from manywake.case.learning import Learning
-from manywake.case.references import Driven, Extremum, Forced, Length, Response, Settled, Statistic, Steady
+from manywake.case.references import Driven, Extremum, Forced, Growth, Length, Response, Settled, Statistic, Steady
 from manywake.case.schemes import BDF2, BDF2_MEAN, GODA
 from manywake.case.sensors import Pressure, Velocity
 from manywake.case.task import PAIR, Task, alike, balanced, pairs, twice_the_worst
@@ -25,5 +25,5 @@ __all__ = [
     "BDF2", "BDF2_MEAN", "GODA",
     "Task", "PAIR", "alike", "balanced", "pairs", "twice_the_worst",
     "Exponential", "Held", "Linear", "Learning",
-    "Driven", "Extremum", "Forced", "Length", "Response", "Settled", "Statistic", "Steady",
+    "Driven", "Extremum", "Forced", "Growth", "Length", "Response", "Settled", "Statistic", "Steady",
 ]  # fmt: skip
