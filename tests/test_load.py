@@ -23,7 +23,8 @@ PRESSURE, VELOCITY = CASE.sensors
 
 def test_the_shipped_cases_have_names():
     free = ["free-cylinder-jets", "free-cylinder-rotation"]
-    assert load.names() == ["channel", *PAPERS, *free, "gartling-step", "lid-driven-cavity", "wide-cylinder"]
+    alone = ["gartling-step", "lid-driven-cavity"]
+    assert load.names() == ["channel", *PAPERS, *free, *alone, "pinball", "pinball-deng", "wide-cylinder"]
     for name in load.names():
         definition = load.load(name)
         assert definition.name == name and definition.shipped
