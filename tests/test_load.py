@@ -23,7 +23,8 @@ PRESSURE, VELOCITY = CASE.sensors
 
 def test_the_shipped_cases_have_names():
     free = ["free-cylinder-jets", "free-cylinder-rotation"]
-    others = ["gartling-step", "lid-driven-cavity", "square-jets", "step", "wide-cylinder"]
+    alone = ["gartling-step", "lid-driven-cavity", "pinball", "pinball-deng"]
+    others = [*alone, "square-jets", "step", "wide-cylinder"]
     assert load.names() == ["channel", *PAPERS, *free, *others]
     for name in load.names():
         definition = load.load(name)

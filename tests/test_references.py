@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
+from scipy.sparse.linalg import eigs
 
-from manywake.case import Driven, Extremum, Length, Response, Settled, Statistic, Steady, replace
+from manywake.case import Driven, Extremum, Growth, Length, Response, Settled, Statistic, Steady, replace
 from manywake.case import references as said
 from manywake.case.geometry import Side
-from manywake.flow import baseline, exact, probe, reference, space, store, validate
+from manywake.flow import baseline, exact, probe, reference, space, steady, store, validate
 from manywake.flow.probe import Field
 from manywake.flow.reference import Runs
 
@@ -156,6 +158,42 @@ def test_the_fastest_on_a_line_across_the_inlet_is_the_parabola_s(runs):
     assert reference.number(runs, number) == pytest.approx(1.5, rel=0.05)  # P2 on few facets of an inlet
 
 
+# ---- what a flow makes of a small disturbance, and of its symmetry
+
+
+def test_a_rate_of_growth_is_that_of_the_eigenvalue_furthest_to_the_right(runs):
+    wanted = Growth("", "rate", 0, None, OURS, reynolds=30.0)
+    still, equations = runs.steady(30.0), steady._Equations(replace(SLOW, reynolds=30.0), runs.posed)
+    x, none = np.concatenate([*still.u.T, still.p]), sp.csr_matrix((equations.m, equations.m))
+    jacobian = equations.jacobian(x, equations.residual(x, np.log(30.0))[1])
+    mass = sp.block_diag([runs.posed.space.mass] * 2 + [none], format="csr")[equations.free][:, equations.free]
+    nearest = eigs(-jacobian, k=20, M=mass, sigma=0.0, return_eigenvectors=False)  # the rightmost is among them
+    rate = nearest.real.max() * SLOW.convective_time
+    assert reference.number(runs, wanted) == pytest.approx(rate, rel=0.03)
+
+
+def test_a_disturbance_that_decays_does_not_grow_and_one_that_grows_does(runs, monkeypatch):
+    grows = Growth("", "grows", 0, 0.0, OURS)
+    assert [check.passed for check in reference.checks(runs, grows)] == [True]
+    for rate, passed in ((0.01, True), (-0.01, False), (np.nan, False)):
+        monkeypatch.setattr(runs, "growth", lambda reynolds, time_step, rate=rate: rate)
+        assert [check.passed for check in reference.checks(runs, replace(grows, value=1))] == [passed]
+
+
+def record(*lifts):
+    """Return a record of flows of these mean lifts, which oscillate by 1."""
+    wave = np.sin(np.linspace(0, 20 * np.pi, 2001))[:-1, None]
+    return {name: wave + np.array(lifts) for name in ("c_l", "c_l.cylinder")}
+
+
+@pytest.mark.parametrize(("lifts", "wanted"), [((0.0, 0.0), 0.0), ((0.3, -0.3), 1.0), ((-0.3,), 1.0), ((0.01,), 0.0)])
+def test_mirror_states_lift_though_their_lifts_cancel(runs, monkeypatch, lifts, wanted):
+    monkeypatch.setattr(runs, "record", lambda reynolds, time_step: (record(*lifts), "aperiodic", 1.0))
+    assert reference.number(runs, Statistic("", "lifts", 0, 0.0, OURS)) == wanted
+    assert reference.number(runs, Statistic("", "c_l mean", 0, 0.0, OURS)) == pytest.approx(np.mean(lifts), abs=1e-9)
+    assert [check.passed for check in reference.checks(runs, Statistic("", "lifts", 1, 0.0, OURS))] == [wanted == 1.0]
+
+
 HELD = {"amplitudes": (0.0, 0.0), "settle": 1.0, "duration": 2.0}
 WRONG = {
     "no reading": (Statistic("x", "c_d.square mean", 1, None, OURS), "wanted one of c_d mean"),
@@ -163,6 +201,8 @@ WRONG = {
     "no steady power": (Steady("x", "power", 1, None, OURS), "wanted one of c_d"),
     "no component": (Extremum("x", "w max", (0, 0), (1, 1), 1, None, OURS), "wanted one of u max"),
     "no wall": (Length("x", (0.0, 0.0), (0.3, 0.0), 0, 1, None, OURS), "wanted two points on one side"),
+    "no growth of drag": (Growth("x", "c_d", 1, None, OURS), "wanted one of rate, grows"),
+    "no held flow lifts": (Response("x", "lifts", 1, None, OURS, (0.0, 0.0), 1.0, 2.0), "wanted one of c_d mean"),
     "one amplitude": (Response("x", "c_d mean", 1, None, OURS, (0.0,), 1.0, 2.0), "wanted 2"),
     "too short": (Response("x", "sheds", 1, None, OURS, (0.0, 0.0), 1.0, 40.0), "wanted more than 41"),
     "no points": (Driven("x", "pressure drop", 1, None, OURS, lambda t: (0, 0), 1.0), "wanted two points"),

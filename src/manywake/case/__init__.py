@@ -11,7 +11,18 @@ from manywake.case.geometry import Box, Circle, Outline, Polygon, Smooth, grid, 
 from manywake.case.inputs import BodyForce, Gust, Jet, Noise, Rotation
 from manywake.case.laws import Exponential, Held, Linear
 from manywake.case.learning import Learning
-from manywake.case.references import Driven, Extremum, Forced, Length, Response, Settled, Statistic, Steady, Twin
+from manywake.case.references import (
+    Driven,
+    Extremum,
+    Forced,
+    Growth,
+    Length,
+    Response,
+    Settled,
+    Statistic,
+    Steady,
+    Twin,
+)  # fmt: skip
 from manywake.case.schemes import BDF2, BDF2_MEAN, GODA
 from manywake.case.sensors import Energy, Pressure, Shear, Velocity
 from manywake.case.task import PAIR, Task, alike, balanced, pairs, twice_the_worst
@@ -25,5 +36,5 @@ __all__ = [
     "BDF2", "BDF2_MEAN", "GODA",
     "Task", "PAIR", "alike", "balanced", "pairs", "twice_the_worst",
     "Exponential", "Held", "Linear", "Learning",
-    "Driven", "Extremum", "Forced", "Length", "Response", "Settled", "Statistic", "Steady", "Twin",
+    "Driven", "Extremum", "Forced", "Growth", "Length", "Response", "Settled", "Statistic", "Steady", "Twin",
 ]  # fmt: skip

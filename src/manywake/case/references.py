@@ -18,6 +18,10 @@ SHEDS = 0.05
 """A flow sheds whose C_L has a larger amplitude than this..."""
 SHEDDING = 40.0
 """...over the last of its run, in L / U."""
+LIFTS = 0.02
+"""A flow lifts whose mean C_L is further from zero than this, to whichever side."""
+JUDGED = ("sheds", "lifts", "grows")
+"""What is 1 or 0."""
 STRAIGHT = 1e-9
 """Points this near to a side, as a share of its length, are on it."""
 
@@ -50,9 +54,10 @@ class _Number:
 class Statistic(_Number):
     """A number of the uncontrolled flow, over whole periods if it has any: "St", or of a reading, as "c_d mean".
 
-    Readings have a mean, max, min, rms and amplitude, which is half of max - min. reynolds: of a flow that is spun up
-    for this number, without actuators, on the case's mesh. time_step: of it, in the case's unit, the case's when not
-    given.
+    Readings have a mean, max, min, rms and amplitude, which is half of max - min. "lifts", 1 or 0: whether the mean C_L
+    of a flow is further from zero than 0.02, on average over flows, as where a flow breaks its symmetry. reynolds: of a
+    flow that is spun up for this number, without actuators, on the case's mesh. time_step: of it, in the case's unit,
+    the case's when not given.
     """
 
     reynolds: float | None = None
@@ -64,6 +69,18 @@ class Steady(_Number):
     """A reading of the steady flow, as "c_d", by Newton's method. reynolds: of that flow."""
 
     reynolds: float | None = None
+
+
+@dataclass(frozen=True)
+class Growth(_Number):
+    """How a small disturbance of the steady flow grows: "rate", in U / L, or "grows", 1 or 0, the rate's sign.
+
+    reynolds: of the flow. time_step: with which the disturbance is followed, in the case's unit, the case's when not
+    given.
+    """
+
+    reynolds: float | None = None
+    time_step: float | None = None
 
 
 @dataclass(frozen=True)
@@ -163,7 +180,7 @@ class Twin:
     settle: float
 
 
-Number = Statistic | Steady | Extremum | Length | Response | Driven
+Number = Statistic | Steady | Growth | Extremum | Length | Response | Driven
 """References that are one number each."""
 Reference = Number | Settled | Forced | Twin
 
@@ -226,13 +243,15 @@ def _words(case: Case, reference: _Number | Extremum) -> list[str]:
     if isinstance(reference, Extremum):
         return [f"{component} {kind}" for component in "uv" for kind in ("max", "min")]
     names = readings(case)
+    if isinstance(reference, Growth):
+        return ["rate", "grows"]
     if isinstance(reference, Steady):
         return [name for name in names if name != "power"]
     numbers = [f"{name} {kind}" for name in names for kind in KINDS]
     if isinstance(reference, Driven):
         return [*numbers, "pressure drop"]
-    shedding = ["St"] * bool(case.bodies) + ["sheds"] * (isinstance(reference, Response) and bool(case.bodies))
-    return [*numbers, *shedding]
+    bodies = ["St", "sheds" if isinstance(reference, Response) else "lifts"] if case.bodies else []
+    return [*numbers, *bodies]
 
 
 def _one_of(reference: _Number | Extremum, words: list[str]) -> None:

@@ -11,6 +11,7 @@ from manywake.case import references
 from manywake.case.references import (
     Driven,
     Extremum,
+    Growth,
     Length,
     Number,
     Response,
@@ -34,6 +35,14 @@ STEADY_MOST = 600.0
 """...which must be so before this time, in L / U."""
 PERIODIC = 120.0
 """How long the uncontrolled flow runs for its statistics, in L / U: about 36 shedding periods of a cylinder."""
+SMALL = 0.01
+"""A disturbance of the steady flow is a gust of this strength, in U..."""
+FOLLOWED = 200.0
+"""...that is followed for this time, in L / U, ..."""
+LARGE, FADED = 0.01, 1e-4
+"""...or until its rms over the domain exceeds this, in U, or is less than this share of the first, ..."""
+SAMPLED = 0.5
+"""...and that is measured every so often, in L / U."""
 CHUNK = 1000
 Record = dict[str, np.ndarray]
 
@@ -76,6 +85,7 @@ class Runs:
     def __init__(self, flow: Flow, report: Progress):
         self.flow, self.case, self.report = flow, flow.case, report
         self.posed: Problem = problem.pose(flow.case, flow.baseline.mesh)
+        self.record, self.growth = cache(self._record), cache(self._growth)
         self.statistics, self.steady = cache(self._statistics), cache(self._steady)
         self.response, self.driven = cache(self._response), cache(self._driven)
 
@@ -87,8 +97,11 @@ class Runs:
         case = replace(self.case, reynolds=re, time_step=dt, actuators=(), sensors=())
         return store.flow(case, lambda what, share: self.report(f"Re {re:g}, {what}", share))
 
-    def _statistics(self, reynolds: float | None, time_step: float | None) -> Statistics:
-        """Return the statistics of the uncontrolled flow over `PERIODIC`; from all start states if it is aperiodic."""
+    def _record(self, reynolds: float | None, time_step: float | None) -> tuple[Record, statistics.Kind, float]:
+        """Return readings of the uncontrolled flow over `PERIODIC`, (steps, flows) by name, its kind and time step.
+
+        An aperiodic flow is several flows, from all start states.
+        """
         flow = self._at(reynolds, time_step)
         base, case, kind = flow.baseline, flow.case, flow.baseline.statistics.kind
         starts = base.starts if kind == "aperiodic" else base.starts[:1]
@@ -96,7 +109,17 @@ class Runs:
         steps = round(PERIODIC * case.convective_time / case.dt)
         amplitudes = np.zeros((steps, len(case.actuators), len(starts)))
         record = batches.recorded(batch, amplitudes, self.report, f"uncontrolled flow, Re {case.reynolds:g}")
-        return self.judged(record, kind, case.dt)
+        return record, kind, case.dt
+
+    def _statistics(self, reynolds: float | None, time_step: float | None) -> Statistics:
+        """Return the statistics of the uncontrolled flow, of all its flows together."""
+        return self.judged(*self.record(reynolds, time_step))
+
+    def lift(self, reynolds: float | None, time_step: float | None) -> float:
+        """Return how far a flow's mean C_L is from zero, on average over flows: their mirror states do not cancel."""
+        record, kind, dt = self.record(reynolds, time_step)
+        each = [{name: series[:, [b]] for name, series in record.items()} for b in range(record["c_l"].shape[1])]
+        return float(np.mean([abs(self.judged(flow, kind, dt)["c_l"].mean) for flow in each]))
 
     def judged(self, record: Record, kind: statistics.Kind, dt: float) -> Statistics:
         clock = spinup.clock(self.case)
@@ -108,6 +131,32 @@ class Runs:
         re = reynolds or self.case.reynolds
         told = replace(self.case, reynolds=re)
         return steady.solve(told, self.posed, lambda what, share: self.report(f"Re {re:g}, {what}", share))
+
+    def _growth(self, reynolds: float | None, time_step: float | None) -> float:
+        """Return the rate, in U / L, at which two flows part that begin at the steady flow, kicked up and down.
+
+        Half their difference is a disturbance to second order, whatever the time loop itself changes in the steady
+        flow. The logarithm of its rms is fitted by a line over the last half of the run.
+        """
+        case = replace(self.case, actuators=(), disturbances=(), sensors=())
+        case = replace(case, reynolds=reynolds or case.reynolds, time_step=time_step or case.time_step)
+        base, posed = self.steady(reynolds), problem.pose(case, self.flow.baseline.mesh)
+        ops, still = baseline.assemble(case, posed, base.u), Start(base.u, base.u, base.p, *np.zeros((2, len(base.p))))
+        batch = batches.started(ops, [spinup.kicked(case, ops, sign * SMALL, still) for sign in (1.0, -1.0)], 2)
+        steps, mass = max(round(SAMPLED * case.convective_time / case.dt), 1), posed.space.mass
+
+        def size() -> float:
+            u = (batch.velocity(0) - batch.velocity(1)) / (2 * case.scales.velocity)
+            return float(np.sqrt(np.sum(u * (mass @ u)) / posed.space.velocity.dx.sum()))
+
+        every = [size()]
+        while len(every) < FOLLOWED / SAMPLED and FADED * every[0] < every[-1] < LARGE:  # ends where it blew up, too
+            spinup.free_run(batch, steps)
+            every.append(size())
+            self.report(f"disturbance, Re {case.reynolds:g}", len(every) * SAMPLED / FOLLOWED)
+        last = np.log(every[len(every) // 2 :])
+        time = case.dt / case.convective_time * steps * np.arange(len(last))
+        return float(np.polyfit(time, last, 1)[0]) if np.isfinite(last).all() else np.nan
 
     def _batch(self, time_step: float | None, start: Start | None = None) -> FlowBatch:
         """Return one flow at some time step, from a start at that step, else from the start state."""
@@ -147,7 +196,7 @@ def checks(runs: Runs, reference: Number | Settled) -> list[Check]:
     if isinstance(reference, Settled):
         return settled(runs, reference)
     ours = number(runs, reference)
-    if isinstance(reference, Response) and reference.of == "sheds":
+    if isinstance(reference, Statistic | Response | Growth) and reference.of in references.JUDGED:
         return [Check(reference.name, ours, reference.value, 0.0, "absolute", reference.source)]
     return [agrees(reference.name, ours, reference.value, reference.tolerance, reference.source)]
 
@@ -156,11 +205,16 @@ def number(runs: Runs, reference: Number) -> float:
     """Return our value of a reference."""
     case, speed = runs.case, runs.case.scales.velocity
     match reference:
+        case Statistic() if reference.of == "lifts":
+            return float(runs.lift(reference.reynolds, reference.time_step) > references.LIFTS)
         case Statistic():
             found = runs.statistics(reference.reynolds, reference.time_step)
             return statistic(found, reference.of, case.convective_time)
         case Steady():
             return runs.steady(reference.reynolds).readings[reference.of]
+        case Growth():
+            rate = runs.growth(reference.reynolds, reference.time_step)
+            return rate if reference.of == "rate" or np.isnan(rate) else float(rate > 0)
         case Extremum():
             component, kind = reference.of.split()
             field = Field(runs.posed.space, runs.steady(reference.reynolds).u)
