@@ -113,18 +113,15 @@ class Evaluation:
 
     def draw(self, folder: Path, tail: str) -> None:
         """Draw the wake, and the learning curve where the folder has a table of episodes."""
+        self.draw_as(folder, tail, _episodes(folder))
+
+    def draw_as(self, folder: Path, tail: str, episodes: dict[str, np.ndarray]) -> None:
+        """Draw the learning curve of episodes, where there are any, and the wake; tail: of the files' names."""
         from manywake import plots
 
-        if (folder / "episodes.csv").exists():
-            episodes = tables.columns(folder / "episodes.csv")
-            plots.learning_curve(episodes, self.flow.baseline, folder / "learning-curve.png")
-        self.draw_wake(folder / f"wake{tail}.png")
-
-    def draw_wake(self, path: Path) -> None:
-        """Draw the wake uncontrolled and controlled."""
-        from manywake import plots
-
-        whole = self.trajectory
+        if episodes:
+            plots.learning_curve(episodes, self.flow.baseline, folder / f"learning-curve{tail}.png")
+        whole, path = self.trajectory, folder / f"wake{tail}.png"
         series = {name: part[:, 0] for name, part in whole.series.items()}
         plots.wake(self.flow, whole.ends[0], series, whole.amplitudes[:, :, 0], path)
 
@@ -148,9 +145,19 @@ class Evaluations:
         return rows
 
     def draw(self, folder: Path, tail: str) -> None:
-        """Draw the wake at each Reynolds number."""
+        """Draw learning curve and wake at each Reynolds number."""
+        episodes = _episodes(folder)
         for part in self.parts:
-            part.draw_wake(folder / f"wake{tail}-{part.flow.case.reynolds:g}.png")
+            reynolds = part.flow.case.reynolds
+            mine = episodes["reynolds"] == reynolds if episodes else np.zeros(0, dtype=bool)
+            part.draw_as(
+                folder, f"{tail}-{reynolds:g}", {n: x[mine] for n, x in episodes.items()} if mine.any() else {}
+            )
+
+
+def _episodes(folder: Path) -> dict[str, np.ndarray]:
+    """Return the table of a run's episodes, empty where there is none."""
+    return tables.columns(folder / "episodes.csv") if (folder / "episodes.csv").exists() else {}
 
 
 def _plain(control: Control) -> dict[str, Any]:
