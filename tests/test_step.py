@@ -62,7 +62,7 @@ def test_the_noise_has_the_rms_and_the_correlation_of_hydrogyms_filter():
 def test_the_baseline_withstands_full_strength_and_knows_what_noise_does(flow):
     base = flow.baseline
     assert (base.withstood.held, base.withstood.smooth) == (1.0, 1.0)
-    assert base.statistics.kind == "aperiodic" and len(base.starts) == 8
+    assert base.statistics.kind == "aperiodic" and len(base.starts) == baseline.APART
     energy = base.statistics["energy"]
     assert energy.low > 0 and energy.error < 0.1 * energy.mean
     # what the energy is about is the steady flow, whose shear is known too

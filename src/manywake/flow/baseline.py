@@ -32,6 +32,8 @@ LATER = 20.0
 """Time from one of the states that `phases` gives of a flow that is not periodic to the next, in L / U."""
 PHASES = 4
 """Start states of a periodic flow for each that is kept, evenly spread over a period from it on."""
+APART = 4
+"""Start states that are kept of an aperiodic flow: those of two kicks and of their mirrors."""
 SPIN_UPS = ((1, "rest"), (2, "rest"), (2, "the steady flow"), (4, "the steady flow"))
 """How a spin-up is tried, one way after another where it blows up: parts that the step is cut into, and from what."""
 _NUMBERS = ("flow_digest", "geometry_digest", "steady", "recipe")
@@ -199,7 +201,7 @@ def _recorded(flows: FreeFlows, kind: Kind, last: dict[str, np.ndarray], report:
     if kind == "steady":
         return flows.states()[:1], statistics.uncontrolled(last, flows.clock, dt, kind)
     if kind == "aperiodic":
-        starts = flows.states()
+        starts = flows.states()[:APART]
         return starts, statistics.uncontrolled(flows.run(AVERAGED, report, "statistics"), flows.clock, dt, kind)
     kept = spinup.apart(last)
     period = statistics.period(last[flows.clock][:, 0], dt) / unit

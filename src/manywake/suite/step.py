@@ -34,7 +34,9 @@ CASE = Case(
     actuators=(Gust("slot", limit=0.1, profile=SLOT),),
     disturbances=(NOISE,),
     sensors=(Shear("gauge", "floor.gauge"), Energy("energy")),
-    sizes=Sizes(far=0.3, near=(Near("slot", "face", size=0.1, growth=0.014),)),
+    sizes=Sizes(
+        far=0.3, near=(Near("slot", "face", size=0.06, growth=0.012), Near("floor.gauge", size=0.08, growth=0.05))
+    ),
     time_step=0.005,
 )
 
