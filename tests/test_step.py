@@ -7,8 +7,8 @@ import pytest
 from manywake import plots
 from manywake.case import replace
 from manywake.env.control import ControlledFlows
+from manywake.flow import baseline, problem, readings, store
 from manywake.flow import batch as batches
-from manywake.flow import problem, readings, store
 from manywake.flow.batch import FlowBatch
 from manywake.suite.step import CASE, NOISE, TASK, calmed
 
