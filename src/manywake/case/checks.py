@@ -34,7 +34,7 @@ def check(case: Any) -> None:
 
 def _check_numbers(case: Any) -> None:
     if case.mesh is not None and case.sizes != type(case.sizes)():
-        raise ValueError("sizes: got some beside a mesh of your own, wanted one of the two; leave sizes or mesh out")
+        raise ValueError("sizes: got some beside a mesh of your own, wanted one of the two; say sizes=Sizes()")
     numbers = {"reynolds": case.reynolds, "spin_up": case.spin_up}
     numbers |= {f"scales.{name}": value for name, value in vars(case.scales).items()}
     sizes = {name: value for name, value in vars(case.sizes).items() if name not in ("wake_axis", "near")}

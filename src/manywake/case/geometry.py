@@ -254,7 +254,7 @@ class Msh:
         path = Path(self.path)
         if not path.is_file():
             raise ValueError(
-                f"mesh: got {str(path)!r}, which is no file, wanted a .msh file of gmsh; make it first, or give the path "
+                f"mesh: got {str(path)!r}, which is no file, wanted a .msh file of gmsh; make it, or give the path "
                 "of one beside the case file as Path(__file__).with_name('NAME.msh')"
             )
         object.__setattr__(self, "path", str(path.resolve()))  # it is read later, maybe from another folder
