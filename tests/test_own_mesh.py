@@ -165,6 +165,16 @@ def test_a_mesh_of_another_domain_or_other_parts_is_refused(tmp_path):
         meshes.build(own(path, bodies=(wider,)))
 
 
+def test_a_triangle_that_its_curve_would_fold_is_refused(tmp_path):
+    thin, circles = MESH.points.copy(), len(MESH.points) // 5
+    thin[circles : 2 * circles] = 1.04 * thin[:circles]  # the second of five rings, close to the cylinder
+    path = written(tmp_path / "tiny.msh", replace(MESH, points=thin))
+    with pytest.raises(
+        ValueError, match=r"a triangle on 'cylinder' at \(.* bends by .* of its height, wanted at most 0.2"
+    ):
+        meshes.build(own(path))
+
+
 def test_a_file_is_refused_that_is_missing_or_no_mesh_or_has_changed(tmp_path):
     path = tmp_path / "tiny.msh"
     with pytest.raises(ValueError, match=r"mesh: got '.*tiny.msh', which is no file, wanted .*with_name\('NAME.msh'\)"):

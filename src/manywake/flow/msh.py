@@ -14,6 +14,8 @@ from manywake.case.geometry import Msh, distance
 
 OFF = 1e-4
 """How far the ends of a facet may be from the curve or the side that it is a part of, in L."""
+BEND = 0.2
+"""How far the curve may reach into a triangle, by the triangle's height; at 1/4 the curved triangle has a cusp."""
 _REMEDY = {
     "quad": "got quadrilaterals, wanted triangles; in gmsh: Mesh.RecombineAll = 0",
     "triangle6": "got triangles of second order, wanted first order; in gmsh: Mesh.ElementOrder = 1",
@@ -33,6 +35,7 @@ def read(case: Case, given: Msh) -> tuple[np.ndarray, np.ndarray, dict[str, np.n
         _check_boundary(points, triangles, boundaries)
         for name, facets in boundaries.items():
             _check_place(case, name, points, facets)
+        _check_bent(case, points, triangles, boundaries)
     except ValueError as error:
         raise ValueError(f"mesh: {Path(given.path).name}: {error}") from error
     _straighten(case, points, boundaries)
@@ -137,6 +140,27 @@ def _check_place(case: Case, name: str, points: np.ndarray, facets: np.ndarray) 
             f"got a facet of {name!r} at {_at(ends[worst % len(ends)])} that is {off[worst]:.2g} off, wanted at most "
             f"{OFF * case.scales.length:g}; the case and the mesh have to say the same of where {name!r} is"
         )
+
+
+def _check_bent(case: Case, points: np.ndarray, triangles: np.ndarray, boundaries: dict[str, np.ndarray]) -> None:
+    """Refuse triangles that fold over where their facet is bent along its curve: their height is too small for it."""
+    edges, across = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), triangles[:, [2, 0, 1]].ravel()
+    opposite = {(min(a, b), max(a, b)): c for (a, b), c in zip(edges.tolist(), across.tolist(), strict=True)}
+    for name, facets in boundaries.items():
+        body = case.body(name)
+        if body is None or body.straight:
+            continue
+        a, b = points[facets[:, 0]], points[facets[:, 1]]
+        c = points[[opposite[min(ends), max(ends)] for ends in facets.tolist()]]
+        normal = np.stack([a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]], axis=1) / np.linalg.norm(b - a, axis=1)[:, None]
+        height = ((c - a) * normal).sum(axis=1)
+        bend = ((body.between(a, b) - a) * normal).sum(axis=1) / height
+        worst = int(bend.argmax())
+        if bend[worst] > BEND:
+            raise ValueError(
+                f"got a triangle on {name!r} at {_at(np.stack([a, b], axis=1)[worst])} that its curve bends by "
+                f"{bend[worst]:.2g} of its height, wanted at most {BEND:g}; make the facets shorter there"
+            )
 
 
 def _lines(case: Case, name: str) -> list[np.ndarray]:
