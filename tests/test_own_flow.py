@@ -3,6 +3,8 @@
 import json
 import os
 import re
+import runpy
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,9 +15,9 @@ import pytest
 
 import manywake
 from manywake.case.geometry import Circle, Polygon, Smooth
+from manywake.flow import baseline, spinup, stability, store
 from manywake.flow import mesh as meshes
 from manywake.flow import space as spaces
-from manywake.flow import store
 from manywake.flow.mesh import Mesh
 from manywake.learn import tables
 from manywake.learn.settings import Collection
@@ -23,6 +25,7 @@ from manywake.machine import compile
 from manywake.suite import load
 
 PAGE = Path(__file__).parents[1] / "docs" / "own-flow.md"
+EXAMPLES = Path(__file__).parents[1] / "examples" / "own_flow"
 BRIEF = {"spin_up": 60.0, "actions": 2}
 SMALL = ["--episodes", "2", "--update-period", "2", "--hidden", "8", "--spin-up", "60", "--actions", "2"]
 
@@ -59,6 +62,10 @@ def page(tmp_path_factory):
 def test_the_page_has_files_of_at_most_forty_lines():
     assert set(blocks()) == {"turning.py", "side_by_side.py"}
     assert all(len(text.splitlines()) <= 40 for text in blocks().values())
+
+
+def test_the_page_s_flow_of_a_new_geometry_is_the_example():
+    assert blocks()["side_by_side.py"] == (EXAMPLES / "side_by_side.py").read_text()
 
 
 def test_the_shipped_case_is_a_file_of_at_most_eighty_lines():
@@ -208,10 +215,76 @@ def test_a_curve_s_chart_measures_arc_length_and_points_outwards():
     np.testing.assert_allclose(chart.outward[2], [1.0, 0.0], atol=1e-6)
 
 
-def test_gmsh_meshes_what_the_page_says(page):
-    pytest.importorskip("gmsh", exc_type=(ImportError, OSError))
-    case = load.load(page / "side_by_side.py").case
-    mesh = meshes.build(case)
-    assert set(mesh.boundaries) == {"bottom", "right", "top", "left", "upper", "lower"}
-    area = spaces.build(mesh).velocity.dx.sum()
-    assert area == pytest.approx(22 * 14 - 2 * np.pi / 4, rel=1e-7)
+# ---- the examples
+
+
+SIDES = {"bottom", "right", "top", "left"}
+FLOWS = {
+    "side_by_side.py": ({"upper", "lower"}, 32 * 20 - 2 * np.pi / 4),
+    "ellipse.py": ({"ellipse", "ellipse.top", "ellipse.bottom"}, 28 * 16 - np.pi / 8),
+    "polygon.py": ({"wedge", "wedge.jet"}, 28 * 16 - 0.75 / 2),
+    "own_mesh/ground.py": ({"cylinder", "cylinder.top", "cylinder.bottom"}, 28 * 9.5 - np.pi / 4),
+}
+"""The examples, the pieces of their bodies, and the areas of the fluid."""
+COARSE = {
+    "sizes.body": 0.2,
+    "sizes.part_facets": 2,
+    "sizes.layers": 2,
+    "sizes.layer_height": 0.06,
+    "sizes.wake": 0.8,
+    "sizes.far": 3.0,
+}
+
+
+@pytest.fixture
+def examples(tmp_path, monkeypatch):
+    """Return a folder with the examples, a cache beside them, and a recipe too short to settle anything."""
+    gmsh = pytest.importorskip("gmsh", exc_type=(ImportError, OSError))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", os.environ.get("NUMBA_CACHE_DIR") or compile._cache_folder())
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    hasty = {
+        spinup: {"BLOCK": 1.0, "MOST": 1.0},
+        baseline: {"AVERAGED": 1.0, "LATER": 1.0},
+        stability: {"MEASURED": 0.25, "TRIED": 0.25, "STAYING": 0.25, "PERIODS": (1,), "RESONANT": (1,), "PHASES": 1},
+    }
+    for module, constants in hasty.items():
+        for name, value in constants.items():
+            monkeypatch.setattr(module, name, value)
+    folder = Path(shutil.copytree(EXAMPLES, tmp_path / "examples", ignore=shutil.ignore_patterns("*.msh")))
+    assert not gmsh.isInitialized()
+    return folder
+
+
+def mesh_of_the_ground(folder: Path, **sizes: float) -> None:
+    write = runpy.run_path(str(folder / "own_mesh" / "make_mesh.py"))["write"]
+    write(folder / "own_mesh" / "ground.msh", **sizes)
+
+
+@pytest.mark.parametrize("name", FLOWS)
+def test_an_example_is_meshed_as_its_file_says(name, examples):
+    pieces, area = FLOWS[name]
+    mesh_of_the_ground(examples)
+    mesh = meshes.build(load.load(examples / name).case)
+    assert set(mesh.boundaries) == SIDES | pieces
+    assert 3000 < len(mesh.triangles) < 9000
+    assert spaces.build(mesh).velocity.dx.sum() == pytest.approx(area, rel=1e-7)
+
+
+@pytest.mark.parametrize("name", FLOWS)
+def test_an_example_is_trained_and_pictured(name, examples, tmp_path):
+    mesh_of_the_ground(examples, finest=0.2, wake=0.8, coarsest=3.0)
+    coarse = {} if name.startswith("own_mesh") else COARSE
+    learning = manywake.Learning(update_period=2, episodes=2, hidden=(4,))
+    settings = {"learning": learning, "collection": Collection(engine="serial"), "spin_up": 1.0, "actions": 2}
+    run = manywake.train(examples / name, run=tmp_path / "run", **settings, **coarse)
+    rows = tables.read(run.folder / "episodes.csv")
+    assert len(rows) == 2 and np.isfinite([float(row["reward"]) for row in rows]).all()
+    manywake.evaluate(run).draw(run.folder, "")
+    assert (run.folder / "wake.png").stat().st_size > 10_000
+    if not coarse:  # the copy finds the mesh beside it
+        assert load.load(run.folder / "case.py").case == load.load(examples / name).case
+
+
+def test_the_example_says_how_its_mesh_is_made_before_there_is_one(examples):
+    with pytest.raises(ValueError, match=r"ground.py, line \d+, fails .*ground.msh', which is no file.*; make it"):
+        load.load(examples / "own_mesh" / "ground.py")

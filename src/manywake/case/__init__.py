@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from manywake.case.case import Case, Near, Scales, Sizes
 from manywake.case.conditions import FreeSlip, NoSlip, Outflow, Parabola, Stream
-from manywake.case.geometry import Box, Circle, Outline, Polygon, Smooth, grid, ring
+from manywake.case.geometry import Box, Circle, Msh, Outline, Polygon, Smooth, grid, ring
 from manywake.case.inputs import BodyForce, Gust, Jet, Noise, Rotation
 from manywake.case.laws import Exponential, Held, Linear
 from manywake.case.learning import Learning
@@ -30,7 +30,7 @@ from manywake.case.task import PAIR, Task, alike, balanced, pairs, twice_the_wor
 __all__ = [
     "Case", "Near", "Scales", "Sizes", "replace",
     "FreeSlip", "NoSlip", "Outflow", "Parabola", "Stream",
-    "Box", "Circle", "Outline", "Polygon", "Smooth", "grid", "ring",
+    "Box", "Circle", "Msh", "Outline", "Polygon", "Smooth", "grid", "ring",
     "Jet", "Rotation", "Gust", "BodyForce", "Noise",
     "Pressure", "Velocity", "Shear", "Energy",
     "BDF2", "BDF2_MEAN", "GODA",

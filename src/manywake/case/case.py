@@ -6,7 +6,7 @@ from typing import Any
 
 from manywake.case import checks
 from manywake.case.conditions import Condition, Outflow
-from manywake.case.geometry import Body, Domain
+from manywake.case.geometry import Body, Domain, Msh
 from manywake.case.inputs import Input, Noise
 from manywake.case.schemes import BDF2_MEAN, Scheme
 from manywake.case.sensors import Sensor, integrals
@@ -99,6 +99,8 @@ class Case:
     sensors: tuple[Sensor, ...] = ()
     scales: Scales = Scales()
     sizes: Sizes = Sizes()
+    mesh: Msh | None = None
+    """A mesh from a file, in the place of one of these sizes; the time step of the scheme is then for the default's."""
     scheme: Scheme = BDF2_MEAN
     """Scheme of the time stepping, by its name."""
     time_step: float | None = None

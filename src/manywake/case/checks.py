@@ -15,6 +15,8 @@ CLEAR = 1.002
 """Points keep this factor away from a body, in its own radii: its facets are parabolas, a little off the curve."""
 TRIED, TRIED_EMPTY = 400.0, 1000.0
 """Largest Reynolds number of the flows that were validated, with bodies and without (`suite`)."""
+CLOSEST = 1e-3
+"""Least distance of bodies from each other and from the domain's sides on a mesh of the user's, in L."""
 FASTEST = 10.0
 """Largest velocity of an input, in the case's units; the time steps that a scheme allows are not stable far above."""
 COMMON = 3.0
@@ -32,6 +34,8 @@ def check(case: Any) -> None:
 
 
 def _check_numbers(case: Any) -> None:
+    if case.mesh is not None and case.sizes != type(case.sizes)():
+        raise ValueError("sizes: got some beside a mesh of your own, wanted one of the two; say sizes=Sizes()")
     numbers = {"reynolds": case.reynolds, "spin_up": case.spin_up}
     numbers |= {f"scales.{name}": value for name, value in vars(case.scales).items()}
     sizes = {name: value for name, value in vars(case.sizes).items() if name not in ("wake_axis", "near")}
@@ -81,6 +85,8 @@ def _check_names(case: Any) -> None:
 def _check_bodies(case: Any) -> None:
     sizes, domain = case.sizes, np.array([side.start for side in case.domain.sides()])
     height = case.scales.length * sizes.layer_height * sum(sizes.layer_growth**k for k in range(int(sizes.layers)))
+    if case.mesh is not None:  # which needs no layers, but some room
+        height = CLOSEST * case.scales.length
     if _area(domain) <= 0:
         raise ValueError("domain: runs clockwise, wanted its corners counter-clockwise, the fluid on the left")
     outlines: dict[str, np.ndarray] = {}

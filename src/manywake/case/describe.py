@@ -38,6 +38,10 @@ def case(chosen: Case) -> dict[str, Any]:
     data = plain(chosen)
     if not chosen.sizes.near:  # what has none keeps the hash that it had before there was any
         del data["sizes"]["near"]
+    if chosen.mesh is None:
+        del data["mesh"]
+    else:
+        del data["mesh"]["path"]  # it is the same mesh elsewhere
     return data
 
 
@@ -71,7 +75,8 @@ def flow_digest(chosen: Case) -> str:
 def geometry_digest(chosen: Case) -> str:
     """Return a hash of all that decides the mesh."""
     data = case(chosen)
-    return digest({name: data[name] for name in ("domain", "bodies", "sizes")} | {"length": chosen.scales.length})
+    decides = {name: data[name] for name in ("domain", "bodies", "sizes", "mesh") if name in data}
+    return digest(decides | {"length": chosen.scales.length})
 
 
 def _name(function: Callable) -> str:

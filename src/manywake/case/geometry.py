@@ -8,9 +8,11 @@ Of every body, `point(parameter, height)` gives points (k, 2) of the curve, or o
 `between(a, b)` those in the middle between points a and b (k, 2); `chart(piece, x)` where points (k, 2) of a piece are.
 """
 
+import hashlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -235,6 +237,28 @@ class Box:
 
 
 Domain = Box | Outline
+
+
+@dataclass(frozen=True)
+class Msh:
+    """A mesh of the user's, a .msh file of gmsh, whose groups of lines have the names of all sides and pieces.
+
+    It is what the file holds when the case is made, wherever it lies. ValueError when there is no such file.
+    """
+
+    path: str | Path = field(compare=False)
+    sha256: str = field(init=False)
+    """Of the file's content."""
+
+    def __post_init__(self) -> None:
+        path = Path(self.path)
+        if not path.is_file():
+            raise ValueError(
+                f"mesh: got {str(path)!r}, which is no file, wanted a .msh file of gmsh; make it, or give the path "
+                "of one beside the case file as Path(__file__).with_name('NAME.msh')"
+            )
+        object.__setattr__(self, "path", str(path.resolve()))  # it is read later, maybe from another folder
+        object.__setattr__(self, "sha256", hashlib.sha256(path.read_bytes()).hexdigest())
 
 
 def outline(body: Body, height: float = 0.0, count: int = 720) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Triangle meshes of any case, built by gmsh. Baselines (.npz) keep them."""
+"""Triangle meshes of any case, built by gmsh or read from a file of the user's. Baselines (.npz) keep them."""
 
 import math
 from collections.abc import Mapping
@@ -8,6 +8,7 @@ import numpy as np
 
 from manywake.case.case import Case
 from manywake.case.geometry import Body, Circle, Piece, distance, outline
+from manywake.flow import msh
 from manywake.machine import disk
 
 
@@ -42,7 +43,13 @@ def curves(case: Case, names: list[str]) -> dict[str, Body]:
 
 
 def build(case: Case) -> Mesh:
-    """Mesh a case's domain with gmsh (the extra `manywake[gmsh]`); RuntimeError when that cannot be loaded."""
+    """Return a case's mesh: read from its file, or made by gmsh (the extra `manywake[gmsh]`).
+
+    ValueError when the file's mesh is not one of this case, RuntimeError when gmsh cannot be loaded.
+    """
+    if case.mesh is not None:
+        points, triangles, boundaries = msh.read(case, case.mesh)
+        return _compact(points, triangles, boundaries, curves(case, list(boundaries)))
     try:
         import gmsh
     except (ImportError, OSError) as error:
@@ -201,14 +208,14 @@ def _perimeter(polygon: np.ndarray) -> float:
 
 
 def _compact(points: np.ndarray, triangles: np.ndarray, boundaries: dict, bodies: Mapping[str, Body]) -> Mesh:
-    """Drop unused points (circle centres), and turn all triangles counter-clockwise."""
+    """Drop unused points (circle centres), turn all triangles counter-clockwise, and put vertices on the curves."""
     used, triangles = np.unique(triangles, return_inverse=True)
     points, triangles = points[used], triangles.reshape(-1, 3)
     (ax, ay), (bx, by), (cx, cy) = (points[corner].T for corner in triangles.T)
     clockwise = (bx - ax) * (cy - ay) < (by - ay) * (cx - ax)
     triangles[clockwise] = triangles[clockwise][:, [0, 2, 1]]
     named = {name: np.searchsorted(used, facets) for name, facets in boundaries.items()}
-    for name, body in bodies.items():  # gmsh's splines are a little off the curves
+    for name, body in bodies.items():  # splines are a little off the curves
         on = np.unique(named[name])
         points[on] = body.between(points[on], points[on])
     return Mesh(points, triangles.astype(np.int64), named, bodies)

@@ -162,6 +162,8 @@ class Flows(Simulation):
         definition = self.chosen.definition
         if definition.file is not None and not definition.shipped:
             (folder / "case.py").write_bytes(definition.content)  # to be read; nothing here runs it
+        if (mesh := self.chosen.case.mesh) is not None and Path(mesh.path).is_file():
+            (folder / Path(mesh.path).name).write_bytes(Path(mesh.path).read_bytes())  # where that copy looks for it
         return kept
 
 

@@ -271,7 +271,8 @@ def case_settings(case: Case) -> dict[str, Setting]:
     """Return every single setting of a case's flow by name."""
     points = tuple[tuple[float, float], ...]
     found = _fields(case, "", ("reynolds", "spin_up", "time_step", "scheme"))
-    found |= {name: size for name, size in _fields(case.sizes, "sizes.").items() if name != "sizes.near"}
+    if case.mesh is None:
+        found |= {name: size for name, size in _fields(case.sizes, "sizes.").items() if name != "sizes.near"}
     found["time_step"] = replace(found["time_step"], value=case.dt, type=float)
     found["scheme"] = replace(found["scheme"], value=case.scheme.name, type=tuple(SCHEMES))
     for a in case.actuators:
