@@ -35,6 +35,9 @@ TABLED = {
 """What tables show of `Control`, with a label and a format each."""
 
 
+_FORCES = ("c_d", "c_l", "c_m", "power")
+
+
 @dataclass(frozen=True)
 class Control:
     """What a controller achieves over a window. C = 2F / (rho U^2 L), C_P = 2P / (rho U^3 L).
@@ -43,7 +46,7 @@ class Control:
     drag_reduction: saved / cd_uncontrolled, with saved = cd_uncontrolled - cd_controlled. share_of_shedding_drag: saved
     / (cd_uncontrolled - cd_steady). cl_rms, amplitude_rms: about zero, the latter over all inputs in units of their
     limits. power: mean C_P of the inputs. reward: mean of an action's. diverged: the flow blew up; the numbers mean
-    nothing.
+    nothing. measured: means of the sensors that are integrals, by name.
     """
 
     cd_uncontrolled: float
@@ -57,6 +60,7 @@ class Control:
     power: float
     reward: float
     diverged: bool
+    measured: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -109,6 +113,11 @@ class Evaluation:
             ]
             mean, error = self.over_starts(name)
             rows.append((label, *windows[:2], f"{mean:{style}} ± {error:{style.lstrip('+')}}", windows[2]))
+        for name in self.episode.measured:
+            numbers = [control.measured[name] for control in (self.episode, self.long_run, worst)]
+            over = float(np.mean([control.measured[name] for control in self.phases]))
+            shown = [f"{number:.4g}" for number in (*numbers[:2], over, numbers[2])]
+            rows.append((f"{name}; uncontrolled {self.flow.baseline.free[name]:.4g}", *shown))
         return rows
 
     def draw(self, folder: Path, tail: str) -> None:
@@ -162,7 +171,9 @@ def _episodes(folder: Path) -> dict[str, np.ndarray]:
 
 def _plain(control: Control) -> dict[str, Any]:
     """Return the fields with None for what is not a number, as JSON wants it."""
-    return {key: value if np.isfinite(value) else None for key, value in asdict(control).items()}
+    numbers = asdict(control)
+    measured = numbers.pop("measured")
+    return {key: value if np.isfinite(value) else None for key, value in (numbers | measured).items()}
 
 
 def play(
@@ -207,6 +218,11 @@ def control(base: Baseline, limits: np.ndarray, part: Trajectory, column: int) -
         power=float(np.mean(power)),
         reward=float(np.mean(part.rewards[:, column])),
         diverged=not np.isfinite(power).all(),
+        measured={
+            name: float(np.mean(part.series[name][:, column]))
+            for name in base.free
+            if name.partition(".")[0] not in _FORCES
+        },
     )
 
 
