@@ -22,7 +22,7 @@ PRESSURE, VELOCITY = CASE.sensors
 
 
 def test_the_shipped_cases_have_names():
-    free = ["free-cylinder-jets", "free-cylinder-rotation"]
+    free = ["fluidgym-cylinder", "free-cylinder-jets", "free-cylinder-rotation"]
     alone = ["gartling-step", "lid-driven-cavity", "pinball", "pinball-deng"]
     others = [*alone, "square-jets", "step", "wide-cylinder"]
     assert load.names() == ["channel", *PAPERS, *free, *others]

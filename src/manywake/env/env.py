@@ -189,7 +189,15 @@ def _single(info: dict[str, Any]) -> dict[str, Any]:
 
 def register() -> None:
     """Tell Gymnasium of `manywake/Flow-v0`, any case, and of an id for each shipped flow."""
-    shipped = ("cylinder-jets", "free-cylinder-jets", "free-cylinder-rotation", "pinball", "square-jets", "step")
+    shipped = (
+        "cylinder-jets",
+        "fluidgym-cylinder",
+        "free-cylinder-jets",
+        "free-cylinder-rotation",
+        "pinball",
+        "square-jets",
+        "step",
+    )
     ids: dict[str, dict[str, Any]] = {"Flow": {}}
     ids |= {name.title().replace("-", ""): {"case": name} for name in shipped}
     for name, settings in ids.items():

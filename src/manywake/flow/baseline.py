@@ -265,7 +265,7 @@ def spread(ops: Operators, starts: Sequence[Start], period: float | None, count:
 def save(baseline: Baseline, path: Path) -> None:
     """Write a baseline atomically: either the whole file is there or none."""
     named = disk.packed(baseline.numbers() | {"digest": baseline.digest()}, baseline.arrays())
-    disk.write(path, lambda file: np.savez_compressed(file, **named))
+    disk.write(path, lambda file: disk.save(file, named))
 
 
 def load(path: Path, case: Case) -> Baseline:

@@ -1,5 +1,4 @@
-# ruff: noqa: F403, F405
-"""FluidGym's CylinderJet2D at Re 100 ("easy"): the channel with jets twice as wide, an action every quarter D/U.
+"""FluidGym's CylinderJet2D at Re 100: the channel's cylinder with jets twice as wide, an action every quarter of D/U.
 
 Their jets blow at up to U in the middle of 20 degrees, a parabola; ours are half a cosine with the same peak. Their
 inflow is 4 % too fast in the middle, so their uncontrolled C_D is 3.328; FeatFlow's is 3.196. The agent sees the
@@ -8,13 +7,12 @@ phase with noise; here the phase is one of four. The reward is theirs, with the 
 
     C_D0 - C_D - |C_L|
 
-Units as in cylinder-jets: 10 D for lengths, 10 D/U for times. No baseline is shipped: it is made at the first use, as
-with manywake train --case examples/fluidgym_cylinder.py.
+Units as in cylinder-jets: 10 D for lengths, 10 D/U for times.
 """
 
 from math import pi
 
-from manywake import *
+from manywake.case import *  # noqa: F403 - the words that case files are written in
 from manywake.suite import cylinder_jets
 from manywake.suite.cylinder_jets import R
 
