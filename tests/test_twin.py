@@ -8,7 +8,6 @@ import pytest
 from manywake.case import BodyForce, Energy, Forced, Noise, Shear, Twin, describe, replace
 from manywake.case import references as said
 from manywake.flow import baseline, problem, statistics, steady, twin, validate
-from manywake.flow import mesh as meshes
 from manywake.flow.baseline import Baseline
 from manywake.flow.batch import Start
 from manywake.flow.disturb import Disturbances
@@ -73,15 +72,6 @@ def test_flows_of_a_twin_hear_the_noise_of_their_own_seed(flow):
     series = Disturbances(flow.operators, range(2)).series(100)
     assert abs(series[:, :, 0] - series[:, :, 1]).max() > 1
     assert (twin.halved(series, series[0])[1::2] == series).all()
-
-
-def test_the_steady_flow_near_another_is_that_of_the_branch(flow):
-    posed = problem.pose(NOISY, meshes.refine(flow.baseline.mesh))
-    wanted = steady.solve(NOISY, posed)
-    found = steady.near(NOISY, posed, 0.9 * wanted.u)
-    np.testing.assert_allclose(found.u, wanted.u, atol=1e-8)
-    assert found.readings["gauge"] == pytest.approx(wanted.readings["gauge"])
-    assert found.readings["energy"] == 0.0
 
 
 @pytest.mark.parametrize(

@@ -61,17 +61,6 @@ def solve(case: Case, problem: Problem, report: Report | None = None) -> SteadyF
     return _flow(case, problem, equations, x)
 
 
-def near(case: Case, problem: Problem, u: np.ndarray) -> SteadyFlow:
-    """Find the steady flow near a velocity (n, 2), as of another mesh; RuntimeError where Newton's method fails."""
-    equations, s = _Equations(case, problem), math.log(case.reynolds)
-    x = equations.boundary.copy()
-    x[equations.free] = np.concatenate([*u.T, np.zeros(equations.m)])[equations.free]
-    found, _ = _newton(equations, x, s, TOLERANCE)
-    if found is None:
-        raise RuntimeError("steady flow: Newton's method did not converge from the velocity that was given")
-    return _flow(case, problem, equations, found)
-
-
 def _flow(case: Case, problem: Problem, equations: "_Equations", x: np.ndarray) -> SteadyFlow:
     n = equations.n
     residual, u = equations.residual(x, math.log(case.reynolds))[0], x[: 2 * n].reshape(2, n).T.copy()
