@@ -23,7 +23,7 @@ from experiments.trainings import Training
 from manywake import plots
 from manywake.case.case import Case
 from manywake.env.control import ControlledFlows
-from manywake.flow import baseline, forced, mesh, problem, readings
+from manywake.flow import baseline, forced, mesh, problem, readings, space
 from manywake.flow.store import Flow
 from manywake.learn import checkpoints
 from manywake.learn.evaluate import LONG_RUN
@@ -74,7 +74,7 @@ def finer(coarse: Flow) -> Flow:
     ops, base = coarse.operators, coarse.baseline
     case = replace(coarse.case, time_step=coarse.case.dt / 2)
     posed = problem.pose(case, mesh.refine(base.mesh))
-    onto = forced.moved(ops.space, posed.space.x)
+    onto, _ = space.carrying(ops.space, posed.space)
     mean, fluctuation = (onto @ part for part in base.advecting)
     fine = baseline.assemble(case, posed, mean, fluctuation)
     starts = (forced.interpolate(ops.space, base.start, fine),)

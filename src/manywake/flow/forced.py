@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from manywake.case.geometry import inside, outline
 from manywake.case.references import Forced
 from manywake.case.schemes import BDF2, GODA
 from manywake.flow import baseline, problem
@@ -87,7 +86,7 @@ def fine(flow: Flow, reference: Forced, mixing: np.ndarray, report: Progress) ->
     scheme = BDF2 if case.scheme == GODA else case.scheme
     chosen = replace(case, time_step=case.dt / 2, scheme=scheme)
     posed = problem.pose(chosen, meshes.refine(base.mesh))
-    onto = moved(space, posed.space.x)
+    onto, _ = spaces.carrying(space, posed.space)
     refined = baseline.assemble(chosen, posed, *(onto @ part for part in base.advecting))
     record = run(refined, interpolate(space, base.start, refined), reference, mixing, report, "fine reference")
     recipe = (
@@ -119,25 +118,9 @@ def _identity(flow: Flow, reference: Forced) -> dict[str, Any]:
 
 def interpolate(space: Space, start: Start, fine: Operators) -> Start:
     """Return a state on the refined mesh at half the time step, with the fine mesh's boundary values, no control."""
-    velocity = moved(space, fine.space.x)
-    pressure = spaces.probe_matrix(space.pressure, _inside(space, fine.space.mesh.points))
+    velocity, pressure = spaces.carrying(space, fine.space)
     u, u_old = velocity @ start.u, velocity @ (0.5 * (start.u + start.u_old))
     for part in (u, u_old):
         part[fine.velocity_order[fine.free :]] = fine.tables.fixed
         part[fine.slip] = 0.0
     return Start(u, u_old, pressure @ start.p, pressure @ start.phi / 2, pressure @ start.phi_old / 2)
-
-
-def moved(space: Space, points: np.ndarray):
-    """Return the matrix that interpolates velocities at the nodes of a refined mesh, (k, 2)."""
-    return spaces.probe_matrix(space.velocity, _inside(space, points))
-
-
-def _inside(space: Space, points: np.ndarray) -> np.ndarray:
-    """Return points (k, 2) with those on a body moved off it, where rounding cannot put them into the body."""
-    out = points.copy()
-    for body in {body.name: body for body in space.mesh.curves.values()}.values():
-        centre = np.array(body.centre)
-        on = inside(centre + 1.0002 * (outline(body) - centre), points)
-        out[on] = centre + (1 + 1e-6) * (points[on] - centre)
-    return out

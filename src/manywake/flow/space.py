@@ -107,13 +107,24 @@ def probe_matrix(basis: skfem.CellBasis, points: np.ndarray) -> sp.csr_matrix:
     return clean(basis.probes(points.T))
 
 
-def carried(space: Space, u: np.ndarray, p: np.ndarray, to: Space) -> tuple[np.ndarray, np.ndarray]:
-    """Return a flow, u (n, 2) and p (m,), on another mesh: a refined one, or the one that this one is refined from."""
+def carrying(space: Space, to: Space) -> tuple[sp.csr_matrix, sp.csr_matrix]:
+    """Return the matrices that carry velocities (n,) and pressures (m,) to another mesh.
+
+    to: on the mesh that is refined from this one, or that this one is refined from.
+    """
     l = np.array([(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)]) / 4  # where the nodes of quarters are
     quadratic = np.hstack([l * (2 * l - 1), 4 * l * l[:, [1, 2, 0]]])
     _, near = cKDTree((quadratic @ space.x[space.nodes]).reshape(-1, 2)).query(to.x)
-    pressure = (p[space.nodes[:, :3]] @ l.T).ravel()
-    return (quadratic @ u[space.nodes]).reshape(-1, 2)[near], pressure[near[: len(to.mesh.points)]]
+    element, node = np.divmod(near, len(l))
+
+    def matrix(rows: slice, shapes: np.ndarray, columns: int) -> sp.csr_matrix:
+        of, values = element[rows], shapes[node[rows]]
+        first = np.arange(0, values.size + 1, values.shape[1])
+        return clean(
+            sp.csr_matrix((values.ravel(), space.nodes[of, : values.shape[1]].ravel(), first), (len(of), columns))
+        )
+
+    return matrix(slice(None), quadratic, len(space.x)), matrix(slice(len(to.mesh.points)), l, len(space.mesh.points))
 
 
 def advection(space: Space, velocity: np.ndarray) -> sp.csr_matrix:

@@ -100,7 +100,8 @@ class _Equations:
 
     def moved(self, x: np.ndarray, to: "_Equations") -> np.ndarray:
         """Return a flow on another mesh, with its boundary values there."""
-        u, p = spaces.carried(self.space, x[: 2 * self.n].reshape(2, self.n).T, x[2 * self.n :], to.space)
+        velocity, pressure = spaces.carrying(self.space, to.space)
+        u, p = velocity @ x[: 2 * self.n].reshape(2, self.n).T, pressure @ x[2 * self.n :]
         there = to.boundary.copy()
         there[to.free] = np.concatenate([*u.T, p])[to.free]
         return there

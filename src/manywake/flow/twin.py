@@ -16,6 +16,7 @@ from manywake.case.references import Twin
 from manywake.flow import baseline, forced, problem, readings, statistics
 from manywake.flow import batch as batches
 from manywake.flow import mesh as meshes
+from manywake.flow import space as spaces
 from manywake.flow.baseline import Progress
 from manywake.flow.batch import FlowBatch
 from manywake.flow.disturb import Disturbances
@@ -38,13 +39,13 @@ def ours(flow: Flow, reference: Twin, report: Progress) -> dict[str, Moments]:
 def fine(flow: Flow, reference: Twin, report: Progress) -> dict[str, Any]:
     """Compute the twin (a quarter of an hour), its energy about its own steady flow.
 
-    That is what the twin comes to without noise: Newton's method would take 20 GB on such a mesh.
+    That is what the twin comes to without noise: so there is no factor of the fine mesh's Jacobian.
     """
     case, space, base = flow.case, flow.operators.space, flow.baseline
     steps = round(reference.duration / case.dt)
     chosen = replace(case, time_step=case.dt / 2)
     posed = problem.pose(chosen, meshes.refine(base.mesh))
-    onto = forced.moved(space, posed.space.x)
+    onto, _ = spaces.carrying(space, posed.space)
     advecting = [onto @ part for part in base.advecting]
     ops = baseline.assemble(chosen, posed, *advecting)
     if base.still is not None:
