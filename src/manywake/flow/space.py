@@ -118,11 +118,9 @@ def carrying(space: Space, to: Space) -> tuple[sp.csr_matrix, sp.csr_matrix]:
     element, node = np.divmod(near, len(l))
 
     def matrix(rows: slice, shapes: np.ndarray, columns: int) -> sp.csr_matrix:
-        of, values = element[rows], shapes[node[rows]]
+        values, nodes = shapes[node[rows]], space.nodes[element[rows], : shapes.shape[1]]
         first = np.arange(0, values.size + 1, values.shape[1])
-        return clean(
-            sp.csr_matrix((values.ravel(), space.nodes[of, : values.shape[1]].ravel(), first), (len(of), columns))
-        )
+        return clean(sp.csr_matrix((values.ravel(), nodes.ravel(), first), (len(values), columns)))
 
     return matrix(slice(None), quadratic, len(space.x)), matrix(slice(len(to.mesh.points)), l, len(space.mesh.points))
 
