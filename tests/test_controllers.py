@@ -9,7 +9,7 @@ import pytest
 
 import manywake
 from manywake.case import replace
-from manywake.env.control import ControlledFlows
+from manywake.env.control import ControlledFlows, spaces
 from manywake.learn import controllers
 from manywake.learn import policy as policies
 from manywake.learn.controllers import FAMILIES, Learnt, Own, Simple, simple
@@ -171,3 +171,19 @@ def test_a_policy_that_ships_is_played_by_its_case_and_refused_by_another_task(s
         controllers.shipped(tmp_path / "policy.npz", "cylinder-jets", 302)
     with pytest.raises(ValueError, match="no policy ships with wake, wanted one; train it: manywake train --case wake"):
         controllers.shipped(None, "wake", 151)
+
+
+@pytest.mark.parametrize("name", [name for name in load.names() if load.load(name).policy])
+def test_a_policy_that_ships_fits_the_task_of_its_case(name):
+    definition = load.load(name)
+    seen, acts = spaces(definition.case, definition.task)
+    found = policies.read(definition.policy)
+    assert found.mean.shape == seen.shape and found.std.shape == acts.shape
+
+
+def test_the_numbers_of_a_case_s_controllers_are_as_many_as_they_want():
+    for name in load.names():
+        definition = load.load(name)
+        for family, numbers in definition.controllers.items():
+            assert definition.task is not None
+            controllers.simple(family, numbers, spaces(definition.case, definition.task)[1].shape[0])

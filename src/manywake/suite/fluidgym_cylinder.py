@@ -43,6 +43,7 @@ def reduction(now, free):
 
 
 TASK = Task(0.025, 80, reduction, observe=("velocity",), mixing=PAIR, law=Exponential(0.1, per=1e-3), starts="any")
+# policies/fluidgym-cylinder.npz: manywake train --case fluidgym-cylinder --seed 1
 REFERENCES = (
     Statistic("mean C_D", "c_d mean", 3.1959, 0.005, cylinder_jets.LEVEL_6),
     Statistic("St", "St", 0.3018, 0.005, cylinder_jets.LEVEL_6),
