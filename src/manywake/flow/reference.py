@@ -67,9 +67,9 @@ class Check:
         if self.kind == "reported":
             return True
         if self.kind in ("at least", "at most"):
-            return self.ours >= self.reference if self.kind == "at least" else self.ours <= self.reference
+            return bool(self.ours >= self.reference if self.kind == "at least" else self.ours <= self.reference)
         scale = abs(self.reference) if self.kind == "relative" else 1.0
-        return abs(self.ours - self.reference) <= self.tolerance * scale
+        return bool(abs(self.ours - self.reference) <= self.tolerance * scale)
 
 
 def agrees(name: str, ours: float, value: float, tolerance: float | None, source: str) -> Check:
