@@ -57,7 +57,7 @@ PROTOCOLS = {
     "paper": (replace(TASK, actions=80, reward=paper), RELEASED),
     "code": (replace(TASK, actions=80, reward=code, law=Linear()), RELEASED),
 }
-# manywake search --controller NAME
+# manywake search --controller NAME; policies/cylinder-jets.npz: manywake train --seed 2
 CONTROLLERS = {"constant": (-0.0134,), "harmonic": (0.5347, 0.3701), "feedback": (-0.0844, -0.1627)}
 
 FEATFLOW = "Schafer & Turek 1996, FeatFlow"
