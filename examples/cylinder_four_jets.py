@@ -2,8 +2,8 @@
 """The channel's cylinder with four jets and a Reynolds number of each episode's own (Tang et al. 2020).
 
 Units as of cylinder-jets: 10 D, the mean inflow U. One mesh serves Re 100 to 400; the agent is not told which it is.
-Four baselines are made at the first use, an hour of one core. Nothing was trained with it yet, and whether full jets are
-withstood at every Re was not seen.
+Four baselines are made at the first use, an hour of one core. Nothing was trained with it yet, and whether full jets
+are withstood at every Re was not seen.
 """
 
 from manywake import *
