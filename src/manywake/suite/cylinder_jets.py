@@ -60,8 +60,7 @@ PROTOCOLS = {
 # manywake search --controller NAME; policies/cylinder-jets.npz: manywake train --seed 2
 CONTROLLERS = {"constant": (-0.0134,), "harmonic": (0.5347, 0.3701), "feedback": (-0.0844, -0.1627)}
 
-FEATFLOW = "Schafer & Turek 1996, FeatFlow"
-LEVEL_6 = "FeatFlow Q2/P1 level 6, dt 1/1600"
+FEATFLOW, LEVEL_6 = "Schafer & Turek 1996, FeatFlow", "FeatFlow Q2/P1 level 6, dt 1/1600"
 DROP = ((-R, 0.0), (R, 0.0), 0.2**2, (0.11752, 0.01))  # the benchmark's mean inflow is 0.2
 REFERENCES = (
     Settled("DFG 2D-1", 20.0, {"c_d": (5.5795, 0.005), "c_l": (0.010619, 0.05)}, FEATFLOW, pressure_drop=DROP),
