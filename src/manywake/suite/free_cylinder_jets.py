@@ -19,6 +19,8 @@ def reduction(now, free):
 
 
 TASK = Task(0.25, 160, reduction, observe=("pressure",), mixing=PAIR, law=Exponential(0.1, per=5e-3))
+# manywake search, feedback with --rounds 16; policies/free-cylinder-jets.npz: manywake train --seed 2
+CONTROLLERS = {"constant": (-0.0001,), "harmonic": (0.1408, 0.1526), "feedback": (-0.1277, 0.0101)}
 NEWTON = "Newton, 15 to 36 thousand P2/P1 triangles, scikit-fem"
 REFERENCES = tuple(
     Steady(f"steady flow C_D, Re {re}", "c_d", c_d, 0.005, NEWTON, reynolds=re)
