@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from stable_baselines3.common.env_checker import check_env as check_env_of_sb3
 
 from manywake.case.case import readings
 from manywake.case.laws import Exponential, Held, Linear
@@ -54,6 +55,26 @@ def test_gymnasiums_checker_is_content(made):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(made.unwrapped)
+
+
+IDS = sorted(spec.id for spec in gymnasium.registry.values() if spec.namespace == "manywake" and spec.name != "Flow")
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_every_id_passes_the_checkers_and_has_the_same_bits_alone_and_in_a_batch(name):
+    task = {"interval": 2 * load.load(gymnasium.spec(name).kwargs["case"]).case.dt, "actions": 3}
+    env = gymnasium.make(name, **task).unwrapped
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env)
+        check_env_of_sb3(env)
+    batch = gymnasium.make_vec(name, 3, "vector_entry_point", **task)
+    plan = np.random.default_rng(1).uniform(-1, 1, (2, 3, *env.action_space.shape)).astype(np.float32)
+    batch.reset(seed=4)
+    seen = [batch.step(action)[0][2] for action in plan]
+    env.reset(seed=6)
+    for action, theirs in zip(plan[:, 2], seen, strict=True):
+        np.testing.assert_array_equal(env.step(action)[0], theirs)
 
 
 def test_spaces_are_151_pressures_and_one_action(made):
