@@ -135,9 +135,9 @@ def judge(
     """Return what a controller without a training achieves.
 
     case, task, overrides: as in `manywake.choose`. controller: none, constant, harmonic or feedback; pretrained, the
-    policy that ships with the case; a function
-    (observation, info) -> action, or a class whose objects are such functions, one for each flow; or such by name,
-    module:function. numbers: of a simple one, those of the case's file when not given. workers: threads that play it.
+    policy that ships with the case; a function (observation, info) -> action, or a class whose objects are such
+    functions, one for each flow; or such by name, module:function. numbers: of a simple one, those of the case's file
+    when not given. workers: threads that play it.
     """
     simulation = flows.open_flows(load.choose(case, task, **overrides), progress)
     with closing(Threads(workers)) as where:

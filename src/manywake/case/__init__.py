@@ -22,7 +22,7 @@ from manywake.case.references import (
     Statistic,
     Steady,
     Twin,
-)  # fmt: skip
+)
 from manywake.case.schemes import BDF2, BDF2_MEAN, GODA
 from manywake.case.sensors import Energy, Pressure, Shear, Velocity
 from manywake.case.task import PAIR, Task, alike, balanced, pairs, twice_the_worst

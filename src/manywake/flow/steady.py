@@ -58,12 +58,8 @@ def solve(case: Case, problem: Problem, report: Report | None = None) -> SteadyF
 
     branch = _follow(equations, [(first, equations.stokes(first))], wanted, FIRST, lambda s: done("steady flow", s))
     x = branch[-1][1] if branch[-1][0] == wanted else _by_a_finer_mesh(case, equations, branch, wanted, done)
-    return _flow(case, problem, equations, x)
-
-
-def _flow(case: Case, problem: Problem, equations: "_Equations", x: np.ndarray) -> SteadyFlow:
     n = equations.n
-    residual, u = equations.residual(x, math.log(case.reynolds))[0], x[: 2 * n].reshape(2, n).T.copy()
+    residual, u = equations.residual(x, wanted)[0], x[: 2 * n].reshape(2, n).T.copy()
     readings = _readings(case, problem, u, residual[: 2 * n].reshape(2, n).T)
     return SteadyFlow(u, x[2 * n :].copy(), readings)
 

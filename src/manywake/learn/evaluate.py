@@ -12,6 +12,7 @@ from manywake.env.control import ControlledFlows, drive
 from manywake.flow import baseline
 from manywake.flow.baseline import Baseline
 from manywake.flow.batch import Start
+from manywake.flow.readings import KINDS
 from manywake.flow.store import Flow
 from manywake.learn import tables
 from manywake.learn.controllers import Controller
@@ -33,9 +34,6 @@ TABLED = {
     "reward": ("reward of an action", ".4f"),
 }
 """What tables show of `Control`, with a label and a format each."""
-
-
-_FORCES = ("c_d", "c_l", "c_m", "power")
 
 
 @dataclass(frozen=True)
@@ -221,7 +219,7 @@ def control(base: Baseline, limits: np.ndarray, part: Trajectory, column: int) -
         measured={
             name: float(np.mean(part.series[name][:, column]))
             for name in base.free
-            if name.partition(".")[0] not in _FORCES
+            if name.partition(".")[0] not in (*KINDS, "power")
         },
     )
 
