@@ -46,8 +46,8 @@ class Baseline:
     starts: states of the developed flow, far apart; of a periodic one those that are no phases of each other. The first
     is the start state. mean: (n, 2) velocity, with which `Scheme.mean` advects. fluctuation: (n,) largest deviation
     from it under full forcing, with which `Scheme.damping` damps. statistics: of the uncontrolled flow. steady:
-    readings of the steady flow, the drag that remains with all shedding gone. withstood: what the stability run found. still:
-    (n, 2) velocity of the steady flow, kept where a sensor measures the energy about it, else None.
+    readings of the steady flow, the drag that remains with all shedding gone. withstood: what the stability run found.
+    still: (n, 2) velocity of the steady flow, kept where a sensor measures the energy about it, else None.
     """
 
     flow_digest: str
