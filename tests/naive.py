@@ -182,6 +182,17 @@ def functionals(case, space, profiles):
     }
 
 
+def return_flow(space, names, e):
+    """Return half of ((e . n)_- e, v) over open ends, (n, 2), facet by facet and point by point."""
+    pushed = np.zeros_like(e)
+    for nodes, values, _, normal, weights in around(space, names):
+        for q, weight in enumerate(weights):
+            at = values[:, q] @ e[nodes]
+            for k, node in enumerate(nodes):
+                pushed[node] += 0.5 * weight * min(at @ normal[q], 0.0) * at * values[k, q]
+    return pushed
+
+
 def load(force, space):
     """Return (f, psi_i) for every node's function, (n, 2), for a force f inside the fluid; quadrature of degree 8."""
     basis = skfem.Basis(space.velocity.mesh, skfem.ElementTriP2(), intorder=8)
@@ -204,7 +215,8 @@ def step(case, space, start, jets, profiles, boundaries, mean, fluctuation, forc
     """Advance one flow by one step in scikit-fem's order; return u, p, phi and what is read, by name.
 
     jets: (2,) flow rates. profiles: (2, n, 2) velocity of the jets at unit flow rate. boundaries: dict with the
-    velocity nodes `fixed` and `slip`, the inlet data `steady` (n, 2) and the pressure nodes `pressure`. mean: (n, 2),
+    velocity nodes `fixed` and `slip`, the inlet data `steady` (n, 2), the pressure nodes `pressure` and the names of
+    those that are `open`. mean: (n, 2),
     zero where the scheme has none. fluctuation: (n,). forces: (force inside the fluid, amplitude) each.
     """
     scheme, dt, nu = case.scheme, case.time_step, case.viscosity
@@ -220,7 +232,7 @@ def step(case, space, start, jets, profiles, boundaries, mean, fluctuation, forc
     A = a / dt * M + theta * nu * K + advection(space, mean) + S
 
     loads = {force.on: load(force, space) for force, _ in forces}
-    pushed = sum((q * loads[force.on] for force, q in forces), np.zeros_like(e))
+    pushed = sum((q * loads[force.on] for force, q in forces), return_flow(space, boundaries["open"], e))
     u = boundaries["steady"] + np.einsum("j,jnc->nc", jets, profiles)
     for c in range(2):
         fixed = np.union1d(boundaries["fixed"], boundaries["slip"]) if c == 1 else boundaries["fixed"]

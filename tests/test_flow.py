@@ -187,6 +187,7 @@ def test_a_step_is_its_slow_twin(walls, scheme, assemble, forces):
         "slip": space.boundary_nodes(sides if walls is FreeSlip else []),
         "steady": steady,
         "pressure": outlet,
+        "open": ["right"],
     }
     rng = np.random.default_rng(0)
     n, m = len(space.x), space.pressure_stiffness.shape[0]

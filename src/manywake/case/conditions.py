@@ -63,7 +63,7 @@ class FreeSlip(_Named):
 
 
 class Outflow(_Named):
-    """An open end: p = 0 and no viscous traction."""
+    """An open end: p = 0, and no viscous traction but on what comes back in, (u . n) u / 2."""
 
 
 Free = FreeSlip | Outflow

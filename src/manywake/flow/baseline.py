@@ -24,7 +24,7 @@ from manywake.flow.statistics import Kind, Statistics
 from manywake.flow.steady import SteadyFlow
 from manywake.machine import disk
 
-FORMAT = 4
+FORMAT = 5
 MEAN_PERIODS = 12
 AVERAGED = 200.0
 """Time over which a flow that is not periodic is averaged, in L / U."""

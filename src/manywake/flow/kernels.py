@@ -9,7 +9,7 @@ Every kernel works in the precision of the arrays it is given. Equation numbers:
 import numpy as np
 
 from manywake.machine.compile import kernel
-from manywake.machine.simd import add, double, fma, high, join, load, low, mul, rounded, splat, store, sub
+from manywake.machine.simd import add, double, fma, high, join, load, low, maximum, mul, rounded, splat, store, sub
 
 
 def _quadrature() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -43,6 +43,13 @@ def _orbit_rule(q: int) -> tuple[float, ...]:
 
 
 _A, _B = _orbit_rule(1), _orbit_rule(4)
+
+_POINT, _SHARE = np.polynomial.legendre.leggauss(4)
+_S = 0.5 + 0.5 * _POINT
+FACET = np.stack([(1 - _S) * (1 - 2 * _S), _S * (2 * _S - 1), 4 * _S * (1 - _S)], axis=1)
+"""P2 values (q, 3) of a facet's ends and its middle at the points of Gauss's rule, exact to degree 7."""
+FACET_SLOPE = np.stack([4 * _S - 3, 4 * _S - 1, 4 - 8 * _S], axis=1)
+FACET_WEIGHT = 0.5 * _SHARE
 
 
 @kernel
@@ -117,6 +124,28 @@ def convection(nodes, inverse, e, out):
         store(out, i3, 0, add(load(out, i3, 0), fma(far, fc, add(yab, at_edges))))
         store(out, i4, 0, add(load(out, i4, 0), fma(far, fa, add(ybc, at_edges))))
         store(out, i5, 0, add(load(out, i5, 0), fma(far, fb, add(yca, at_edges))))
+
+
+@kernel
+def return_flow(nodes, normal, e, out):
+    """Add half of ((e . n)_- e, v) over the open ends to `out` for every P2 test function v (eq. 23).
+
+    nodes: (facets, 3), ends and middle. normal: (facets, q, 2), out of the fluid, times the weight of each point of
+    the rule. e, out: pairs.
+    """
+    for f in range(len(nodes)):
+        i, j, k = nodes[f, 0], nodes[f, 1], nodes[f, 2]
+        a, b, c = load(e, i, 0), load(e, j, 0), load(e, k, 0)
+        ya, yb, yc = load(out, i, 0), load(out, j, 0), load(out, k, 0)
+        for q in range(len(FACET)):
+            value = fma(FACET[q, 2], c, fma(FACET[q, 1], b, mul(FACET[q, 0], a)))
+            inwards = fma(-normal[f, q, 0], low(value), mul(-normal[f, q, 1], high(value)))
+            inwards = mul(-0.5, maximum(0.0, inwards))
+            pushed = mul(join(inwards, inwards), value)
+            ya, yb, yc = fma(FACET[q, 0], pushed, ya), fma(FACET[q, 1], pushed, yb), fma(FACET[q, 2], pushed, yc)
+        store(out, i, 0, ya)
+        store(out, j, 0, yb)
+        store(out, k, 0, yc)
 
 
 @kernel

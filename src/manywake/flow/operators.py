@@ -17,7 +17,7 @@ from skfem.helpers import dot, grad
 
 from manywake.case.schemes import Scheme
 from manywake.case.sensors import Energy, Probes, Sensor
-from manywake.flow import factors
+from manywake.flow import factors, kernels
 from manywake.flow import space as spaces
 from manywake.flow.factors import Panels, Rows
 from manywake.flow.mesh import Mesh
@@ -36,6 +36,7 @@ class Tables(NamedTuple):
     read_velocity: of forces inside the fluid and of walls. wall, flux, scale: (functionals, ...), as in
     `problem.Functional`. still, energy: the steady velocity (n, 2), and rows of the mass matrix, for `kernels.energy`;
     empty where that is not read.
+    open_nodes, open_normal: facets of open ends, as in `kernels.return_flow`.
     force_rows, force_loads: nodes that forces inside the fluid push, and how, (inputs, nodes, 2).
     """
 
@@ -43,6 +44,8 @@ class Tables(NamedTuple):
     inverse: np.ndarray
     curved_nodes: np.ndarray
     curved_inverse: np.ndarray
+    open_nodes: np.ndarray
+    open_normal: np.ndarray
     linear: Rows
     gradient: Rows
     coupling_rows: np.ndarray
@@ -164,6 +167,7 @@ def assemble(
     driven = np.flatnonzero(abs(problem.profiles).max(axis=(0, 2), initial=0.0)[velocity])
     acting = {
         **_elements(space, np.argsort(velocity)),
+        **_open_ends(problem, np.argsort(velocity)),
         **_linear(space, scheme, dt, nu, velocity, pressure, len(free) + len(read)),
         "coupling_rows": coupling_rows.astype(np.uint32),
         "coupling": coupling._replace(column=coupling.column + np.uint32(len(free))),
@@ -215,6 +219,21 @@ def _elements(space: Space, place: np.ndarray) -> dict[str, Any]:
         "inverse": np.ascontiguousarray(space.inverse[straight, None]),
         "curved_nodes": place[space.nodes[space.curved]].astype(np.uint32),
         "curved_inverse": space.curved_inverse,
+    }
+
+
+def _open_ends(problem: Problem, place: np.ndarray) -> dict[str, Any]:
+    """Return the facets of open ends, and their normals out of the fluid times the weights of the rule on them."""
+    space, facets, mesh = problem.space, problem.open, problem.space.velocity.mesh
+    nodes = np.vstack([mesh.facets[:, facets], space.velocity.facet_dofs[:, facets]]).T
+    ends = space.x[nodes]
+    along = kernels.FACET_SLOPE @ ends
+    normal = np.stack([along[..., 1], -along[..., 0]], axis=-1)
+    inside = space.x[mesh.t[:, mesh.f2t[0, facets]]].mean(axis=0)
+    outwards = np.sign(((ends[:, 2] - inside)[:, None] * normal).sum(axis=2, keepdims=True))
+    return {
+        "open_nodes": place[nodes].astype(np.uint32),
+        "open_normal": outwards * normal * kernels.FACET_WEIGHT[:, None],
     }
 
 

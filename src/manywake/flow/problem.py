@@ -47,7 +47,8 @@ class Problem:
     (inputs, 3), flux of kinetic energy into the fluid as a coefficient 2P / (rho U^3 L), that of the amplitude, of its
     square and of its cube. loads: (inputs, n, 2), forces inside the fluid tested with every node's function, at unit
     amplitude; None for none. noise: rms, correlation time and limit of each disturbance, the last inputs. slip:
-    velocity nodes, none of them fixed, where the component `held` is zero and the other free.
+    velocity nodes, none of them fixed, where the component `held` is zero and the other free. open: scikit-fem's
+    numbers of the facets of open ends.
     """
 
     space: Space
@@ -63,6 +64,7 @@ class Problem:
     noise: tuple[tuple[float, float, float], ...] = ()
     slip: np.ndarray = field(default_factory=lambda: np.empty(0, int))
     held: int = 1
+    open: np.ndarray = field(default_factory=lambda: np.empty(0, int))
 
 
 class Wall:
@@ -93,8 +95,9 @@ def pose(case: Case, mesh: Mesh) -> Problem:
     space = spaces.build(mesh)
     bodies = [name for name in mesh.boundaries if case.body(name) is not None]
     given = [name for c in case.conditions if not isinstance(c, Free) for name in c.on]
-    open_ends = [mesh.boundaries[name] for c in case.conditions if isinstance(c, Outflow) for name in c.on]
-    pressure_fixed = np.unique(np.concatenate(open_ends)) if open_ends else np.array([0])
+    open_ends = [name for c in case.conditions if isinstance(c, Outflow) for name in c.on]
+    opened = space.facets(*open_ends) if open_ends else np.empty(0, int)
+    pressure_fixed = np.unique(space.velocity.mesh.facets[:, opened]) if open_ends else np.array([0])
     steady = _steady(case, space)
     steady[space.boundary_nodes(bodies)] = 0.0
     fixed, inputs = space.boundary_nodes([*given, *bodies]), tuple(given.on for given in case.inputs)
@@ -107,7 +110,7 @@ def pose(case: Case, mesh: Mesh) -> Problem:
     driven = inputs, profiles, flux_error, _kinetic(case, space, steady, profiles)
     noise = tuple((noise.rms, noise.time, noise.by.limit) for noise in case.disturbances)
     posed = fixed, steady, pressure_fixed, functionals, *driven, loads, noise
-    return Problem(space, *posed, np.setdiff1d(slip, fixed), held)
+    return Problem(space, *posed, np.setdiff1d(slip, fixed), held, opened)
 
 
 def _slip(case: Case, space: Space) -> tuple[np.ndarray, int]:

@@ -6,6 +6,7 @@ Method: docs/numerics.md, "Steady flow".
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,7 +18,7 @@ from manywake.case.sensors import integrals
 from manywake.flow import mesh as meshes
 from manywake.flow import problem as problems
 from manywake.flow import space as spaces
-from manywake.flow.problem import Problem
+from manywake.flow.problem import Problem, Wall
 from manywake.flow.readings import KINDS
 from manywake.flow.space import Space
 
@@ -74,6 +75,7 @@ class _Equations:
         held = problem.fixed, n + problem.fixed, n * problem.held + problem.slip, pinned
         self.free = np.setdiff1d(np.arange(2 * n + m), np.concatenate(held))
         self.boundary = np.concatenate([*problem.steady.T, np.zeros(m)])
+        self.open: Any = Wall(self.space, problem.open).basis if len(problem.open) else None
 
     def stokes(self, s: float) -> np.ndarray:
         """Return the flow without inertia."""
@@ -83,16 +85,31 @@ class _Equations:
 
     def residual(self, x: np.ndarray, s: float) -> tuple[np.ndarray, sp.csr_matrix]:
         """Return the residual at x, and the matrix that makes it from x: advection with the velocity as it is."""
-        matrix = self._matrix(s, spaces.advection(self.space, x[: 2 * self.n].reshape(2, self.n).T))
+        N = spaces.advection(self.space, x[: 2 * self.n].reshape(2, self.n).T)
+        if self.open is not None:
+            N = N + _returning.assemble(self.open, back=np.minimum(self._outwards(x), 0.0))
+        matrix = self._matrix(s, N)
         return matrix @ x, matrix
 
     def jacobian(self, x: np.ndarray, matrix: sp.csr_matrix) -> sp.csc_matrix:
         """Return the derivative of the residual among the free unknowns, from the matrix of `residual`."""
-        basis, none = self.space.velocity, sp.csr_matrix((self.m, self.m))
-        slopes = [basis.interpolate(component).grad for component in x[: 2 * self.n].reshape(2, self.n)]
-        reaction = [[*(_reaction.assemble(basis, s=slope[c]) for c in range(2)), None] for slope in slopes]
-        whole = matrix + sp.bmat([*reaction, [None, None, none]], format="csr")
+        basis, velocity = self.space.velocity, x[: 2 * self.n].reshape(2, self.n)
+        slopes = [basis.interpolate(component).grad for component in velocity]
+        reaction = [[_reaction.assemble(basis, s=slope[c]) for c in range(2)] for slope in slopes]
+        if self.open is not None:
+            back = self._outwards(x) < 0.0
+            for c, component in enumerate(velocity):
+                at = back * np.asarray(self.open.interpolate(component))
+                for d, normal in enumerate(self.open.normals):
+                    reaction[c][d] = reaction[c][d] + _returning.assemble(self.open, back=at * normal)
+        none = sp.csr_matrix((self.m, self.m))
+        whole = matrix + sp.bmat([[*reaction[0], None], [*reaction[1], None], [None, None, none]], format="csr")
         return sp.csc_matrix(whole[self.free][:, self.free])
+
+    def _outwards(self, x: np.ndarray) -> np.ndarray:
+        """Return the velocity through the open ends, out of the fluid, at the points of their rule."""
+        u, v = (np.asarray(self.open.interpolate(component)) for component in x[: 2 * self.n].reshape(2, self.n))
+        return u * self.open.normals[0] + v * self.open.normals[1]
 
     def moved(self, x: np.ndarray, to: "_Equations") -> np.ndarray:
         """Return a flow on another mesh, with its boundary values there."""
@@ -111,6 +128,12 @@ class _Equations:
 def _reaction(u, v, w):
     """U s for a given slope s."""
     return w.s * u * v
+
+
+@skfem.BilinearForm
+def _returning(u, v, w):
+    """Minus half of back u: the traction of an open end (docs/numerics.md, eq. 23)."""
+    return -0.5 * w.back * u * v
 
 
 def _follow(equations: _Equations, branch: Branch, end: float, step: float, done: Callable[[float], None]) -> Branch:

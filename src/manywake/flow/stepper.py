@@ -48,6 +48,7 @@ def _advance(ops, u, u_old, p, phi, phi_old, e, d, y, parts, p_star, amplitudes,
             store(y, i, 0, splat(0.0, y))
         kernels.convection(ops.nodes, ops.inverse, e, y)
         kernels.convection(ops.curved_nodes, ops.curved_inverse, e, y)
+        kernels.return_flow(ops.open_nodes, ops.open_normal, e, y)
         kernels.push(ops.force_rows, ops.force_loads, amplitudes, s, y)
         _read_residual(ops, s, parts, amplitudes, readings)
 
