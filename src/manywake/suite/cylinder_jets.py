@@ -22,7 +22,6 @@ CASE = Case(
     sensors=(Pressure("pressure", PROBES), Velocity("velocity", PROBES)),
     sizes=Sizes(wake_axis=0.005),
     scheme=BDF2_MEAN,
-    time_step=1e-3,
 )
 
 
