@@ -26,7 +26,7 @@ from manywake.learn.collect import usable_cores
 from manywake.learn.engine import Engine, Processes, Threads
 from manywake.learn.evaluate import Evaluation, Evaluations
 from manywake.learn.rollout import Evaluated, Simulation
-from manywake.learn.runs import Run
+from manywake.learn.runs import Run, checked
 from manywake.learn.settings import Collection, Settings
 from manywake.suite import load
 
@@ -196,9 +196,10 @@ def load_run(
     the run recorded; one of another simulation wants `env`. overrides: those that were given as objects.
     """
     run = Run(Path(folder))
-    about = run.simulation
-    if about["kind"] == external.KIND:
-        return OpenRun(run, external.reopen(run.folder, about, env))
+    path = run.folder / "settings.json"
+    if run.simulation.get("kind") == external.KIND:
+        return OpenRun(run, external.reopen(run.folder, checked(run.simulation, external.Described, path), env))
+    about = checked(run.simulation, flows.Described, path)
     if case is None and not (about["shipped"] and about["name"] in load.names()):
         raise ValueError(
             f"case: {run.folder} was made with its user's own ({about['file'] or 'made in Python'}), which is not run "
@@ -206,7 +207,7 @@ def load_run(
         )
     case, task = about["name"] if case is None else case, about["protocol"] if task is None else task
     chosen = load.choose(case, task, **{**about["overrides"], **overrides})
-    return OpenRun(run, flows.reopen(run.folder, about, chosen))
+    return OpenRun(run, flows.reopen(run.folder, about, run.described()["kept"], chosen))
 
 
 def layout(how: Collection, period: int) -> blocks.Layout:

@@ -1,7 +1,23 @@
 """Settings of the learner. Free of torch, so that asking for help is quick."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
+
+LEAST = {"update_period": 1, "episodes": 1, "n_epochs": 1, "batch_size": 2, "learner_threads": 1}
+"""Whole numbers, and the least that they may be; of one sample no advantage can be normalised."""
+BETWEEN = {
+    "learning_rate": (1e-12, 1.0),
+    "learning_rate_end": (0.0, 1.0),
+    "gamma": (0.0, 1.0),
+    "gae_lambda": (0.0, 1.0),
+    "clip_range": (1e-6, 1e6),
+    "ent_coef": (0.0, 1e6),
+    "vf_coef": (0.0, 1e6),
+    "max_grad_norm": (1e-12, math.inf),
+    "log_std_init": (-20.0, 2.0),
+}
+"""Numbers, and what they may be from and to."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +65,14 @@ class Learning:
     def __post_init__(self) -> None:
         if self.patience is not None and self.patience < 1:
             raise ValueError(f"patience: got {self.patience}, wanted at least 1 update, or none to train to the end")
+        for name, least in LEAST.items():
+            if (value := getattr(self, name)) != int(value) or value < least:
+                raise ValueError(f"{name}: got {value}, wanted a whole number, at least {least}")
+        if any(units != int(units) or units < 1 for units in self.hidden):
+            raise ValueError(f"hidden: got {self.hidden}, wanted whole numbers, each at least 1")
+        for name, (low, high) in BETWEEN.items():
+            if not low <= (value := getattr(self, name)) <= high:
+                raise ValueError(f"{name}: got {value:g}, wanted a number from {low:g} to {high:g}")
         if self.episodes % self.update_period or self.episodes < self.update_period:
             raise ValueError(
                 f"episodes: got {self.episodes}, wanted a multiple of the update period {self.update_period}"

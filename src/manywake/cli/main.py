@@ -10,7 +10,7 @@ import tyro
 
 from manywake.cli import show
 from manywake.cli.flow import Baseline, Validate, command, first
-from manywake.cli.runs import Evaluate, EvaluateController, Replay, Resume, Search, Train
+from manywake.cli.runs import Evaluate, EvaluateController, GivenLearning, Replay, Resume, Search, Train
 from manywake.suite import load
 
 PACKAGES = {"figure": "experiments", "bench": "benchmarks"}
@@ -57,7 +57,7 @@ def _commands(words: list[str]) -> Any:
         commands = (*commands, Evaluate)
     if asked.protocol in definition.protocols or plays:  # a flow without a task has nothing to learn or to play
         learning = definition.protocol(asked.protocol)[1]
-        commands = (command(Train, definition, **vars(asked), learning=learning), *commands)
+        commands = (command(Train, definition, **vars(asked), learning=GivenLearning(**vars(learning))), *commands)
         commands += (command(Search, definition, **vars(asked)),)
     if _of_no_run(words):
         commands += (command(EvaluateController, definition, "evaluate", **vars(asked)),)

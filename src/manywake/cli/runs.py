@@ -16,7 +16,7 @@ from manywake.case.learning import Learning
 from manywake.cli import show
 from manywake.cli.flow import OnCase
 from manywake.cli.show import Bar, Episodes, Json, console, say
-from manywake.learn import controllers, external, flows
+from manywake.learn import controllers, external, flows, runs
 from manywake.learn.engine import Threads
 from manywake.learn.rollout import Simulation
 from manywake.learn.runs import Run, write_json
@@ -24,11 +24,27 @@ from manywake.learn.settings import Collection, Settings
 
 
 @dataclass(frozen=True)
+class GivenLearning(Learning):
+    """Settings of the learner as the words say them: the parser must not refuse them, as it would in its own words."""
+
+    def __post_init__(self) -> None:
+        """Let `Learning` refuse them."""
+
+
+@dataclass(frozen=True)
+class GivenCollection(Collection):
+    """How episodes are collected, as the words say it."""
+
+    def __post_init__(self) -> None:
+        """Let `Collection` refuse it."""
+
+
+@dataclass(frozen=True)
 class Train(OnCase):
     """Train a policy, evaluate it, and leave a run folder with checkpoints, tables and pictures."""
 
-    learning: tyro.conf.OmitArgPrefixes[Learning] = Learning()
-    collection: tyro.conf.OmitArgPrefixes[Collection] = Collection()
+    learning: tyro.conf.OmitArgPrefixes[GivenLearning] = GivenLearning()
+    collection: tyro.conf.OmitArgPrefixes[GivenCollection] = GivenCollection()
     env: str | None = None
     """Another simulation in place of the case: module:factory, or an id registered with Gymnasium."""
     protocol: str = "default"
@@ -39,7 +55,9 @@ class Train(OnCase):
     """Run folder; default runs/<case>-s<seed>-<date>."""
 
     def run(self) -> int:
-        how, folder = self.collection, self.run_folder or api.folder_for(self.env or self.definition.name, self.seed)
+        learning, how = Learning(**vars(self.learning)), Collection(**vars(self.collection))
+        settings = Settings(learning, how, self.seed)
+        folder = self.run_folder or api.folder_for(self.env or self.definition.name, self.seed)
         simulation: Simulation
         if self.env is None:
             chosen = self.chosen(self.protocol)
@@ -48,12 +66,11 @@ class Train(OnCase):
         else:
             actions = self.overrides().get("actions", external.HORIZON)
             simulation = external.open_simulation(self.env, actions, os.getcwd())
-        settings = Settings(self.learning, how, self.seed)
-        say(f"{api.layout(how, self.learning.update_period)}; {how.engine}; {how.schedule}, {how.clock} clock")
+        say(f"{api.layout(how, learning.update_period)}; {how.engine}; {how.schedule}, {how.clock} clock")
         say(f"run folder {folder}")
         opened = api.OpenRun(Run(folder), simulation)
         return _watched(
-            lambda shown: api.train_into(folder, simulation, settings, shown), opened, self.learning, 0, self.json
+            lambda shown: api.train_into(folder, simulation, settings, shown), opened, learning, 0, self.json
         )
 
 
@@ -95,6 +112,8 @@ class Resume(OnRun):
         from manywake.learn import checkpoints
 
         opened = self.opened()
+        if differ := runs.changed(opened.run):
+            say(f"not the versions that the run was made with: {differ}; its numbers may change in their last digits")
         learning = opened.run.settings.learning
         names = ("engine", "address", "workers", "lanes", "time_limit")
         where = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
@@ -116,9 +135,7 @@ class Evaluate(OnRun):
     """Threads that play."""
 
     def run(self) -> int:
-        numbers = _evaluated(self.opened(), self.checkpoint, self.workers)
-        if self.json:
-            print(json.dumps(numbers))
+        _evaluated(self.opened(), self.checkpoint, self.workers, self.json)
         return 0
 
 
@@ -204,25 +221,30 @@ def _watched(work: Callable[..., Any], opened: api.OpenRun, learning: Learning, 
             return 130
     numbers = dataclasses.asdict(trained)
     write_json(folder / "training.json", numbers)
-    numbers = {**_evaluated(opened, "last", 2), **numbers}
     for share, when in trained.reached.items():
         if when is not None:
             say(f"while exploring, {float(share):.1%} gained after: {when[0]} episodes, {when[1] / 60:.1f} min")
     if trained.failures:
         say(f"{trained.failures} blocks of episodes were lost and played again: {folder / 'failures.csv'}")
+    _evaluated(opened, "last", 2, as_json, numbers)
     say(f"trained in {trained.wall_time_s / 60:.1f} min; policy {trained.policy_sha256[:16]}; see {folder}")
-    if as_json:
-        print(json.dumps(numbers))
     return 0
 
 
-def _evaluated(opened: api.OpenRun, checkpoint: str, workers: int) -> dict[str, Any]:
-    """Evaluate a run's policy, show and keep what came out, draw it; return the numbers."""
+def _evaluated(
+    opened: api.OpenRun, checkpoint: str, workers: int, as_json: bool, also: dict[str, Any] | None = None
+) -> None:
+    """Evaluate a run's policy; show what came out, as JSON with `also` too, then keep it and draw it."""
+    from manywake.learn import checkpoints
+
+    if checkpoint == "last" and (name := checkpoints.newest(opened.run)[0]) != checkpoint:
+        say(f"{opened.run.checkpoints / 'last.zip'} is not whole; {name}.zip was taken")
     with console.status("evaluating the deterministic policy"):
         found = api.evaluate(opened, checkpoint, workers)
     tail = "" if checkpoint == "last" else f"-{checkpoint}"
     numbers = found.summary()
+    show.table(found.table())
+    if as_json:
+        print(json.dumps({**numbers, **(also or {})}), flush=True)
     write_json(opened.folder / f"evaluation{tail}.json", numbers)
     found.draw(opened.folder, tail)
-    show.table(found.table())
-    return numbers

@@ -33,7 +33,7 @@ def save(ops: Operators, path: Path) -> None:
 def load(path: Path, mesh: Mesh) -> Operators:
     """Read operators on a mesh; ValueError when the file is damaged or of another version."""
     try:
-        with np.load(path, allow_pickle=False) as data:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
             about = disk.description(data)
             named = {name: data[name] for name in _PLAIN} | {name: tuple(about[name]) for name in _NAMES}
             sensors = {name: (of, _gather(f"sensor:{name}", Rows, data)) for name, of in about["sensors"].items()}

@@ -4,8 +4,8 @@ import io
 import json
 import pickle
 import zipfile
-import zlib
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -54,13 +54,34 @@ def checkpoint(run: Run, model: EpisodicPPO, progress: Progress) -> None:
 
 
 def policy(run: Run, name: str = "last") -> Policy:
-    """Return the policy of a checkpoint (last or best). Only tensors are read from the zip, no pickle."""
+    """Return the policy of a checkpoint, last or best; where the last is damaged, of the one before.
+
+    Only tensors are read, no pickle. ValueError when it is not there, or not whole.
+    """
+    if name == "last":
+        return ppo.from_state(newest(run)[2])
     path = run.checkpoints / f"{name}.zip"
     if not path.exists():
         there = sorted(other.stem for other in path.parent.glob("*.zip"))
         raise ValueError(f"checkpoint: {path} is not there; wanted one of {there}")
+    try:
+        return ppo.from_state(_read(path)[1])
+    except DAMAGE as error:
+        raise ValueError(f"checkpoint: {path} is damaged ({error}); wanted another, as --checkpoint last") from error
+
+
+DAMAGE = (*disk.DAMAGE, RuntimeError, pickle.UnpicklingError)
+"""What reading a damaged checkpoint raises."""
+
+
+def _read(path: Path) -> tuple[Progress, dict[str, Any], dict[str, Any]]:
+    """Return progress, weights and the optimiser's state of a checkpoint: tensors and plain data, no code."""
     with zipfile.ZipFile(path) as archive:
-        return ppo.from_state(_tensors(archive, "policy.pth"))
+        if (bad := archive.testzip()) is not None:
+            raise zipfile.BadZipFile(f"{bad} is damaged")
+        data = json.loads(archive.read("manywake.json"))
+        data["pending"] = [tuple(pair) for pair in data["pending"]]
+        return Progress(**data), _tensors(archive, "policy.pth"), _tensors(archive, "policy.optimizer.pth")
 
 
 def _tensors(archive: zipfile.ZipFile, name: str) -> dict[str, Any]:
@@ -71,22 +92,14 @@ def _tensors(archive: zipfile.ZipFile, name: str) -> dict[str, Any]:
 def newest(run: Run) -> tuple[str, Progress, dict[str, Any], dict[str, Any]]:
     """Return name, progress, weights and the optimiser's state of the newest checkpoint that is whole.
 
-    Tensors and plain data are read, no code. Raises ValueError when there is none.
+    Raises ValueError when there is none.
     """
     problems = []
     for name in ("last", "previous"):
-        path = run.checkpoints / f"{name}.zip"
         try:
-            with zipfile.ZipFile(path) as archive:
-                if (bad := archive.testzip()) is not None:
-                    raise zipfile.BadZipFile(f"{bad} is damaged")
-                data = json.loads(archive.read("manywake.json"))
-                weights, moments = _tensors(archive, "policy.pth"), _tensors(archive, "policy.optimizer.pth")
-        except (OSError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, pickle.UnpicklingError) as error:
-            problems.append(f"{path.name}: {error}")
-            continue
-        data["pending"] = [tuple(pair) for pair in data["pending"]]
-        return name, Progress(**data), weights, moments
+            return name, *_read(run.checkpoints / f"{name}.zip")
+        except DAMAGE as error:
+            problems.append(f"{name}.zip: {error}")
     raise ValueError(f"run: {run.folder} has no whole checkpoint ({'; '.join(problems)}); it must be trained anew")
 
 

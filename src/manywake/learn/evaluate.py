@@ -164,7 +164,7 @@ class Evaluations:
 
 def _episodes(folder: Path) -> dict[str, np.ndarray]:
     """Return the table of a run's episodes, empty where there is none."""
-    return tables.columns(folder / "episodes.csv") if (folder / "episodes.csv").exists() else {}
+    return tables.columns(folder / "episodes.csv")
 
 
 def _plain(control: Control) -> dict[str, Any]:

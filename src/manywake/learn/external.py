@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import gymnasium
 import numpy as np
@@ -24,6 +24,15 @@ HORIZON = 160
 """Most actions of an episode, where an environment has no limit of its own and none is given."""
 EVALUATED = 16
 """Episodes of an evaluation."""
+
+
+class Described(TypedDict):
+    """What `External.describe` says."""
+
+    kind: str
+    env: str
+    folder: str
+    horizon: int
 
 
 @dataclass(frozen=True)
@@ -140,7 +149,7 @@ def open_simulation(name: str, horizon: int, folder: str) -> External:
         environment.close()
 
 
-def reopen(folder: Path, described: dict[str, Any], name: str | None) -> External:
+def reopen(folder: Path, described: Described, name: str | None) -> External:
     """Return what a run played, as `External.describe` wrote it; ValueError unless the user gives its name again."""
     if name is None or name != described["env"]:
         raise ValueError(

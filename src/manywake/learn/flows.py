@@ -5,7 +5,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import cloudpickle
 import numpy as np
@@ -28,6 +28,21 @@ from manywake.learn.rollout import Context, Episode, Simulation
 from manywake.suite.load import Chosen
 
 KIND = "flow"
+
+
+class Described(TypedDict):
+    """What `Flows.describe` says."""
+
+    kind: str
+    name: str
+    shipped: bool
+    file: str | None
+    file_sha256: str | None
+    protocol: str
+    overrides: dict[str, Any]
+    digest: str
+    case: dict[str, Any]
+    task: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -190,10 +205,11 @@ def open_flows(chosen: Chosen, progress: Progress | None = None) -> Flows:
     return Flows(tuple(store.flow(case, progress) for case in chosen.cases), chosen)
 
 
-def reopen(folder: Path, described: dict[str, Any], chosen: Chosen) -> Flows:
+def reopen(folder: Path, described: Described, kept: dict[str, list[str]], chosen: Chosen) -> Flows:
     """Return what a run played, as `Flows.describe` wrote it, from the operators and the baseline it keeps.
 
-    Nothing of the folder is run. ValueError when `chosen` is not what was played.
+    Nothing of the folder is run. kept: the hashes of those, as `Flows.save` gave them. ValueError when `chosen`, or
+    what is there, is not what was played.
     """
     definition = chosen.definition
     if described["file_sha256"] != (None if definition.shipped else definition.sha256):
@@ -203,11 +219,16 @@ def reopen(folder: Path, described: dict[str, Any], chosen: Chosen) -> Flows:
         )
     said = settings(chosen)
     if describe.digest(said) != described["digest"]:
-        changed = " and the ".join(part for part, value in said.items() if value != described[part]) or "settings"
+        recorded = {"case": described["case"], "task": described["task"]}
+        changed = " and the ".join(part for part, value in said.items() if value != recorded[part]) or "settings"
         got = f"the {changed} of {definition.name!r} are not those that {folder} was made with"
         raise ValueError(f"case: {got}; wanted the version of manywake, or the settings, that made it")
     found = []
     for tail, case in zip(_tails(chosen), chosen.cases, strict=True):
         base = baseline.load(folder / f"baseline{tail}.npz", case)
         found.append(Flow(case, archive.load(folder / f"operators{tail}.npz", base.mesh), base))
+    there = {"baseline": [f.baseline.digest() for f in found], "operators": [f.operators.digest for f in found]}
+    for name, digests in there.items():
+        if kept.get(name) != digests:
+            raise ValueError(f"run: the {name} in {folder} is not that which settings.json has the hash of")
     return Flows(tuple(found), chosen)

@@ -52,11 +52,14 @@ def write(policy: Policy, path: Path) -> None:
 
 
 def read(path: Path) -> Policy:
-    """Read what `write` wrote."""
-    with np.load(path, allow_pickle=False) as data:
-        count = sum(name.startswith("weight") for name in data.files)
-        layers = tuple((data[f"weight{k}"], data[f"bias{k}"]) for k in range(count))
-        return Policy(int(data["version"]), data["mean"], data["deviation"], layers, data["log_std"], data["std"])
+    """Read what `write` wrote; ValueError when the file is damaged."""
+    try:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
+            count = sum(name.startswith("weight") for name in data.files)
+            layers = tuple((data[f"weight{k}"], data[f"bias{k}"]) for k in range(count))
+            return Policy(int(data["version"]), data["mean"], data["deviation"], layers, data["log_std"], data["std"])
+    except disk.DAMAGE as error:
+        raise ValueError(f"policy: {path} is damaged ({error})") from error
 
 
 def act(policy: Policy, observations: np.ndarray) -> np.ndarray:

@@ -1,13 +1,16 @@
 """The run folder: what was played and how, as JSON; the policy versions. Nothing in it is run, no torch is loaded."""
 
-import dataclasses
 import json
+import platform
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, get_type_hints
 
 from filelock import FileLock, Timeout
+from typeguard import TypeCheckError, check_type
 
 from manywake.case.learning import Learning
 from manywake.learn import policy as policies
@@ -20,6 +23,24 @@ FORMAT = 2
 """Of settings.json; version 0.1.0 wrote another, without a number."""
 
 
+RECORDED = ("manywake", "numba", "numpy", "stable-baselines3", "torch")
+"""Packages whose versions a run records."""
+
+
+class _Described(TypedDict):
+    """What settings.json holds. later: the versions that the run was resumed with, where they had changed."""
+
+    format: int
+    simulation: dict[str, Any]
+    learning: dict[str, Any]
+    collection: dict[str, Any]
+    seed: int
+    layout: dict[str, int]
+    kept: dict[str, Any]
+    versions: dict[str, str]
+    later: list[dict[str, Any]]
+
+
 class Run:
     """A run folder: what it was begun with, and the policy after each update."""
 
@@ -28,7 +49,7 @@ class Run:
         self.checkpoints = folder / "checkpoints"
 
     def described(self) -> dict[str, Any]:
-        """Return what settings.json says; ValueError when the folder is no run, or one of another version."""
+        """Return what settings.json says; ValueError when the folder is no run, one of another version, or damaged."""
         path = self.folder / "settings.json"
         if not path.exists():
             wanted = "which has no settings.json; wanted a folder made by manywake train"
@@ -41,12 +62,12 @@ class Run:
             made = data.get("versions", {}).get("manywake", "0.1.0") if isinstance(data, dict) else "something else"
             got = f"{self.folder} was made by manywake {made}, whose runs this version cannot play"
             raise ValueError(f"run: {got}; install that version, or train anew")
-        return data
+        return checked({"later": []} | data, _Described, path)
 
     @property
     def settings(self) -> Settings:
-        data = self.described()
-        learning, collection = _from_plain(Learning, data["learning"]), _from_plain(Collection, data["collection"])
+        data, path = self.described(), self.folder / "settings.json"
+        learning, collection = (_from_plain(kind, data[kind.__name__.lower()], path) for kind in (Learning, Collection))
         return Settings(learning, collection, data["seed"])
 
     @property
@@ -56,7 +77,7 @@ class Run:
 
     @property
     def layout(self) -> Layout:
-        return Layout(**self.described()["layout"])
+        return _from_plain(Layout, self.described()["layout"], self.folder / "settings.json")
 
     def version_path(self, number: int) -> Path:
         """Return where the policy after `number` updates is kept, for episodes on their way and for replay."""
@@ -70,17 +91,52 @@ class Run:
         return policies.read(path)
 
 
-def _from_plain(kind: Any, data: dict[str, Any]) -> Any:
+def checked(value: Any, kind: Any, path: Path) -> Any:
+    """Return what JSON gave if it is of a type; ValueError with the file it is from and what is amiss."""
+    try:
+        return check_type(value, kind)
+    except TypeCheckError as error:
+        raise ValueError(f"run: {path} is damaged, or of another version ({error})") from None
+
+
+def _from_plain(kind: Any, data: dict[str, Any], path: Path) -> Any:
     """Return a data class of plain fields from what JSON gave."""
-    known = {field.name for field in dataclasses.fields(kind)}
-    if set(data) != known:
-        raise ValueError(f"run: settings.json has {sorted(set(data) ^ known)} more or less than {kind.__name__} has")
-    return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in data.items()})
+    plain = {name: tuple(value) if isinstance(value, list) else value for name, value in data.items()}
+    try:
+        return kind(**checked(plain, TypedDict(kind.__name__, get_type_hints(kind)), path))  # type: ignore[operator]
+    except ValueError as error:
+        raise ValueError(str(error) if str(path) in str(error) else f"run: {path}: {error}") from None
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what a run's numbers depend on."""
+    return {name: version(name) for name in RECORDED} | {"python": platform.python_version()}
+
+
+def changed(run: Run) -> str:
+    """Return which versions are not those that the run was last played with; empty where all are."""
+    data, now = run.described(), versions()
+    before = data["later"][-1]["versions"] if data["later"] else data["versions"]
+    return ", ".join(
+        f"{name} {before.get(name, '?')} is {now[name]} now" for name in now if before.get(name) != now[name]
+    )
+
+
+def went_on(run: Run, update: int) -> None:
+    """Record the versions that a run is resumed with, before which update, where they have changed."""
+    if changed(run):
+        data = run.described()
+        data["later"].append({"from_update": update, "versions": versions()})
+        write_json(run.folder / "settings.json", data)
 
 
 @contextmanager
 def held(folder: Path) -> Iterator[None]:
-    """Hold a run folder for writing; ValueError when that cannot be."""
+    """Hold a run folder for writing; ValueError when that cannot be.
+
+    A new one is gone again where what was to be done in it failed, or was stopped, before there were settings.
+    """
+    new = not folder.exists()
     try:
         (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
         held = FileLock(folder / ".lock", timeout=0).acquire()
@@ -89,7 +145,12 @@ def held(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise ValueError(f"run: cannot write {folder} ({error}); choose another --run") from error
     with held:
-        yield
+        try:
+            yield
+        except BaseException:
+            if new and not (folder / "settings.json").exists():
+                shutil.rmtree(folder, ignore_errors=True)
+            raise
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:

@@ -1,5 +1,6 @@
 """How episodes are collected, and all that decides a training beside what is played."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -52,8 +53,11 @@ class Collection:
             raise ValueError(f"address: got {self.address!r} with engine {self.engine}, wanted it with --engine ray")
         for name in ("episode_seconds", "cpus_per_env", "time_limit"):
             value = getattr(self, name)
-            if value is not None and value <= 0:
+            if value is not None and not value > 0:
                 raise ValueError(f"{name}: got {value:g}, wanted more than 0")
+        for name in ("episode_spread", "update_seconds"):
+            if not 0 <= (value := getattr(self, name)) < math.inf:
+                raise ValueError(f"{name}: got {value:g}, wanted a number, at least 0")
 
 
 @dataclass(frozen=True)
@@ -63,3 +67,7 @@ class Settings:
     learning: Learning
     collection: Collection
     seed: int
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.seed < 2**32:
+            raise ValueError(f"seed: got {self.seed}, wanted a whole number from 0 to {2**32 - 1}")

@@ -32,9 +32,9 @@ def read(path: Path) -> list[dict[str, str]]:
 
 
 def columns(path: Path) -> dict[str, np.ndarray]:
-    """Return the columns of a table of numbers."""
+    """Return the columns of a table of numbers, none when it is empty or not there."""
     table = read(path)
-    return {name: np.array([float(row[name]) for row in table]) for name in table[0]}
+    return {name: np.array([float(row[name]) for row in table]) for name in (table[0] if table else ())}
 
 
 def untimed(table: list[dict[str, str]]) -> list[tuple[str, ...]]:
@@ -42,14 +42,30 @@ def untimed(table: list[dict[str, str]]) -> list[tuple[str, ...]]:
     return [tuple(value for name, value in row.items() if not name.endswith("_s")) for row in table]
 
 
-def cut(path: Path, version: int | None) -> None:
-    """Drop the rows of a table that are of updates from `version` on, to be made again, and what was cut short."""
-    text = path.read_text() if path.exists() else ""
-    header, *table = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1]))) or [[]]
-    if not table:
-        path.unlink(missing_ok=True)
+def cut(path: Path, updates: int | None = None, rows: int = 0) -> None:
+    """Drop what was cut short, and the rows of updates past the first `updates`, to be made again.
+
+    rows: those of an update. ValueError where some of the first updates are missing.
+    """
+    if not path.exists():
         return
-    kept = table if version is None else [row for row in table if int(row[header.index("update")]) < version]
+    text = path.read_text(errors="replace")
+    reader = csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1]))
+    kept = list(reader)
+    if kept and updates is not None:
+        wanted = {str(k) for k in range(updates)}
+        kept = [row for row in kept if row.get("update") in wanted and None not in row.values()]
+        first = min((int(row["update"]) for row in kept), default=0)  # past 0 in a table that was begun anew
+        if len(kept) != (updates - first) * rows:
+            raise ValueError(
+                f"run: {path} has {len(kept)} whole rows of updates {first} to {updates - 1}, wanted "
+                f"{(updates - first) * rows}; bring them back, or delete the file to go on without them"
+            )
+    if not kept:
+        path.unlink()
+        return
     out = io.StringIO()
-    csv.writer(out).writerows([header, *kept])
+    writer = csv.DictWriter(out, reader.fieldnames or ())
+    writer.writeheader()
+    writer.writerows(kept)
     disk.write(path, lambda file: file.write(out.getvalue().encode()))

@@ -1,11 +1,9 @@
 """Training into a run folder, and going on with one."""
 
-import platform
 import shutil
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -129,8 +127,7 @@ def train(
         training = Training(run, settings, collector, planned, Progress())
         training.checkpoint(model)
         described = {"format": runs.FORMAT, "simulation": simulation.describe(), **asdict(settings)}
-        versions = {name: version(name) for name in ("manywake", "numba", "numpy", "stable-baselines3", "torch")}
-        made = {"layout": asdict(grid), "kept": kept, "versions": versions, "python": platform.python_version()}
+        made = {"layout": asdict(grid), "kept": kept, "versions": runs.versions()}
         runs.write_json(folder / "settings.json", described | made)
         return _learn(training, model, show)
 
@@ -155,9 +152,10 @@ def resume(
         collector = _collector(settings, simulation, engine, grid, planned)
         model = ppo.build(settings.learning, collector)
         progress = checkpoints.restore(run, model)
-        for name in ("episodes.csv", "updates.csv"):
-            tables.cut(folder / name, progress.version)
-        tables.cut(folder / "failures.csv", None)
+        for name, rows in (("episodes.csv", settings.learning.update_period), ("updates.csv", 1)):
+            tables.cut(folder / name, progress.version, rows)
+        tables.cut(folder / "failures.csv")
+        runs.went_on(run, progress.version)
         collector.resume(progress.version, progress.pending, run.version)
         return _learn(Training(run, settings, collector, planned, progress), model, show)
 
