@@ -19,7 +19,7 @@ CASE = Case(
     conditions=(FreeSlip("bottom", "top"), Stream("left"), Outflow("right")),
     actuators=(Jet("square.top", limit=0.1), Jet("square.bottom", limit=0.1)),
     sensors=(Pressure("wake", WAKE), Pressure("base", BASE)),
-    sizes=Sizes(far=2.0, part_facets=8, layers=5, layer_height=0.016),
+    sizes=Sizes(far=2.0),
 )
 
 
