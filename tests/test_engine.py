@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import textwrap
 import time
 
@@ -44,6 +45,22 @@ def die(number):
 def hang():
     while True:
         time.sleep(60)
+
+
+@pytest.fixture
+def temporary():
+    """Return a folder for temporary files of other processes; its path is short, as sockets want it."""
+    with tempfile.TemporaryDirectory(prefix="t", dir="/tmp") as folder:
+        yield folder
+
+
+def emptied(folder) -> bool:
+    """Return whether nothing is left in a folder, within five seconds."""
+    for _ in range(500):
+        if not os.listdir(folder):
+            return True
+        time.sleep(0.01)
+    return False
 
 
 def gone(process: int) -> bool:
@@ -149,7 +166,7 @@ def test_closing_leaves_no_process_behind_even_amid_work():
 
 
 @pytest.mark.parametrize("tasks", [2, 0], ids=["busy", "idle"])
-def test_workers_end_when_their_trainer_is_killed_and_leave_nothing(tmp_path, tasks):
+def test_workers_end_when_their_trainer_is_killed_and_leave_nothing(tmp_path, temporary, tasks):
     script = tmp_path / "trainer.py"
     script.write_text(
         textwrap.dedent(
@@ -166,15 +183,54 @@ def test_workers_end_when_their_trainer_is_killed_and_leave_nothing(tmp_path, ta
             """
         )
     )
-    with subprocess.Popen([sys.executable, script, str(tasks)], stdout=subprocess.PIPE, text=True) as trainer:
+    words, where = [sys.executable, script, str(tasks)], os.environ | {"TMPDIR": temporary}
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=where) as trainer:
         try:
             path, *workers = trainer.stdout.readline().split()
             assert workers and os.path.exists(path)
         finally:
             trainer.kill()
     assert all(gone(int(worker)) for worker in workers)
-    for _ in range(500):
-        if not os.path.exists(os.path.dirname(path)):
-            break
-        time.sleep(0.01)
-    assert not os.path.exists(os.path.dirname(path))
+    assert emptied(temporary)
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.05, 0.2, 0.5, 1.0, 2.0])
+def test_a_trainer_that_is_killed_while_it_starts_leaves_nothing(tmp_path, temporary, seconds):
+    script = tmp_path / "trainer.py"
+    script.write_text(
+        textwrap.dedent(
+            """
+            import time
+            from manywake.learn.engine import Processes
+
+            if __name__ == "__main__":
+                print("begins", flush=True)
+                engine = Processes(2)
+                time.sleep(600)
+            """
+        )
+    )
+    given = os.environ | {"TMPDIR": temporary}
+    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True, env=given) as trainer:
+        assert trainer.stdout.readline() == "begins\n"
+        time.sleep(seconds)
+        trainer.kill()
+    # killed between making the folder and starting the server, it is the next trainer that removes what is left
+    if not emptied(temporary):
+        subprocess.run([sys.executable, "-c", f"from manywake.machine import room; {SWEEP}"], env=given, check=True)
+    assert emptied(temporary)
+
+
+SWEEP = "import pathlib, os; [room.sweep(p) for p in pathlib.Path(os.environ['TMPDIR']).iterdir()]"
+
+
+def test_a_killed_fork_server_loses_what_was_under_way_and_no_more(processes):
+    shared = processes.share(41)
+    assert processes.submit(double, shared).result(60) == 82
+    server = processes.submit(os.getppid).result(60)
+    under_way = [processes.submit(hang) for _ in range(2)]
+    os.kill(server, signal.SIGKILL)
+    for future in under_way:
+        with pytest.raises(WorkerDied):
+            future.result(60)
+    assert processes.submit(double, shared).result(60) == 82

@@ -19,6 +19,11 @@ from typing import Any, Protocol
 
 from pebble import ProcessExpired, ProcessPool
 
+from manywake.machine import room
+
+LONGEST = 60
+"""Characters of a folder that a socket's path may begin with: in all it has 100 or so."""
+
 
 class WorkerDied(RuntimeError):
     """The process that computed is gone: killed, crashed, out of memory, or its machine lost."""
@@ -73,14 +78,15 @@ class Processes:
     """Processes of this machine. One that dies or takes too long is replaced, and harms no other.
 
     Each slot is a pebble pool of one worker, for pebble's workers share a pipe and its lock: one killed while it sends
-    a result would take the others with it. Workers end with the process that made them, however that one ends.
+    a result would take the others with it. Workers end with the process that made them, however that one ends, and what
+    it shared with them goes too (`machine.room`).
     """
 
     keeps_time = True
 
     def __init__(self, slots: int):
         self.slots = slots
-        self._folder, self._context = tempfile.mkdtemp(prefix="manywake-"), _context()
+        self._folder, self._context = tempfile.mkdtemp(dir=room.folder()), _context()
         self._lock, self._closed = threading.Lock(), False
         self._free = [self._pool() for _ in range(slots)]
         self._pools = set(self._free)
@@ -88,7 +94,7 @@ class Processes:
             pool.schedule(int)  # a pool starts its worker with its first task: let all of them start together
 
     def _pool(self) -> ProcessPool:
-        pool = ProcessPool(1, initializer=_end_with_parent, initargs=[self._folder], context=self._context)
+        pool = ProcessPool(1, initializer=_end_with_parent, context=self._context)
         workers = pool._pool_manager.worker_manager
         # pebble takes a worker that ends with code 0 for one that was told to; ours never are
         workers.inspect_workers = partial(_ended, workers.workers)  # type: ignore[method-assign]
@@ -209,29 +215,28 @@ def _context():
     alone = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     before = {name: os.environ[name] for name in alone if name in os.environ}
     os.environ.update(alone)
+    usual, ours = tempfile.tempdir, str(room.folder())
     try:
+        if len(ours) < LONGEST:
+            tempfile.tempdir = ours
+        util.get_temp_dir()  # multiprocessing makes it once; in ours it goes with ours
         forkserver.ensure_running()
     finally:
+        tempfile.tempdir = usual
         for name in alone:
             del os.environ[name]
         os.environ.update(before)
     return context
 
 
-def _end_with_parent(folder: str) -> None:
+def _end_with_parent() -> None:
     """End this worker as soon as the process that started it is gone, even by kill -9."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     gone = parent.sentinel
 
-    def clean(seconds: float | None) -> None:
-        if connection.wait([gone], seconds):
-            shutil.rmtree(folder, ignore_errors=True)
-
     def watch() -> None:
-        clean(None)
+        connection.wait([gone])
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-    # a worker without a task ends by itself when its pipe closes, perhaps before the thread has come that far
-    util.Finalize(None, clean, args=[1.0], exitpriority=0)
