@@ -3,15 +3,21 @@
 The commands run in this process, on copies of one short run.
 """
 
+import io
 import json
+import os
+import pickle
 import shutil
 import signal
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from stable_baselines3 import PPO
 
+from manywake import load_policy
 from manywake.cli import main
 
 SHORT = ["--actions", "2", "--update-period", "2", "--episodes", "6", "--hidden", "8", "--engine", "serial"]
@@ -208,6 +214,100 @@ def test_a_damaged_folder_is_refused_and_left_as_it_is(command, whole, tmp_path,
         assert message in printed, word
         assert (status, "Traceback" in printed) == (2, False), word
         assert paths(folder) == before, word
+
+
+class Trap:
+    """Unpickled, it makes a folder."""
+
+    def __init__(self, path: Path):
+        self.path = path
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.path),)
+
+
+def with_a_trap_in(path: Path, trap: Trap) -> None:
+    """Put a trap into every part of a file of arrays, or of a checkpoint, in pickles."""
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+    with zipfile.ZipFile(path, "w") as archive:
+        for name in names:
+            buffer = io.BytesIO()
+            if name.endswith(".npy"):
+                np.save(buffer, np.array([trap], dtype=object), allow_pickle=True)
+            else:
+                pickle.dump(trap, buffer, protocol=2)
+            archive.writestr(name, buffer.getvalue())
+
+
+HOSTILE = {
+    "baseline.npz": "evaluate resume replay",
+    "operators.npz": "evaluate resume replay",
+    "versions/000001.npz": "replay",
+    "checkpoints/last.zip": "evaluate resume",
+    "checkpoints/best.zip": "evaluate",
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_code_in_a_file_of_a_run_folder_is_never_run(command, whole, tmp_path, name):
+    for word in HOSTILE[name].split():
+        folder, sprung = tmp_path / word, tmp_path / "sprung"
+        shutil.copytree(whole, folder)
+        with_a_trap_in(folder / name, Trap(sprung))
+        if name.startswith("checkpoints"):
+            shutil.copy(folder / name, folder / "checkpoints" / "previous.zip")
+        also = ["3"] if word == "replay" else ["--checkpoint", "best"] if "best" in name else []
+        status, printed = command(word, folder, *also)
+        assert not sprung.exists(), word
+        assert status == 2, word
+        assert "damaged" in printed or "no whole checkpoint" in printed, word
+
+
+def rest(data: dict, names: dict) -> dict:
+    """Return the parts of a simulation that names lack, where they are of a flow."""
+    return {} if "kind" in names else {key: part for key, part in data["simulation"].items() if key not in names}
+
+
+def test_no_module_and_no_file_that_a_folder_names_is_imported(command, whole, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for word in ("evaluate", "resume", "replay"):
+        folder, sprung = tmp_path / word, tmp_path / "sprung"
+        shutil.copytree(whole, folder)
+        evil = f"import os\nos.mkdir({str(sprung)!r})\n"
+        for where in (folder, tmp_path):
+            (where / "evil.py").write_text(evil)
+        (folder / "case.py").write_text(evil)
+        also = ["3"] if word == "replay" else []
+        for names, message in (
+            ({"kind": "env", "env": "evil:make", "folder": str(folder), "horizon": 2}, "no module is imported because"),
+            ({"shipped": False, "file": str(folder / "case.py"), "file_sha256": "0"}, "not run because a folder names"),
+            ({"name": "evil", "file": "evil.py"}, "not run because a folder names it"),
+        ):
+            edit(folder, lambda data, names=names: data.update(simulation=names | rest(data, names)))
+            status, printed = command(word, folder, *also)
+            assert (status, sprung.exists()) == (2, False), word
+            assert message in printed, word
+            shutil.copy(whole / "settings.json", folder / "settings.json")
+
+
+def test_a_loaded_policy_is_that_of_the_run_and_runs_no_code(whole, tmp_path):
+    seen = np.random.default_rng(0).normal(size=(5, 151))
+    ours = load_policy(whole)
+    theirs = PPO.load(whole / "checkpoints" / "last.zip", device="cpu").predict(seen, deterministic=True)[0]
+    np.testing.assert_allclose(ours(seen), theirs, atol=1e-5)
+    np.testing.assert_array_equal(ours(seen[2]), ours(seen)[2])
+    for path in (whole / "versions" / "000003.npz", whole / "checkpoints" / "last.zip"):
+        np.testing.assert_array_equal(load_policy(path)(seen), ours(seen))
+    with pytest.raises(ValueError, match=r"observation: got shape \(5,\), wanted \(151,\)"):
+        ours(seen[:, 0])
+    for name, message in (("versions/000003.npz", "is damaged"), ("checkpoints/last.zip", "is damaged")):
+        path = tmp_path / Path(name).name
+        shutil.copy(whole / name, path)
+        with_a_trap_in(path, Trap(tmp_path / "sprung"))
+        with pytest.raises(ValueError, match=message):
+            load_policy(path)
+    assert not (tmp_path / "sprung").exists()
 
 
 def test_a_damaged_last_checkpoint_is_passed_over_for_the_one_before_and_that_is_said(command, whole, tmp_path):

@@ -8,7 +8,7 @@ Axis letters: n velocity node, m pressure node, e element, q quadrature point, k
 """
 
 from manywake import case as _case
-from manywake.api import OpenRun, evaluate, judge, load_run, resume, search, train
+from manywake.api import OpenRun, evaluate, judge, load_policy, load_run, resume, search, train
 from manywake.case import *  # noqa: F403
 from manywake.env import env as _env
 from manywake.env.env import FlowEnv, FlowVectorEnv
@@ -20,5 +20,5 @@ _env.register()
 __all__ = [
     *_case.__all__,
     "Collection", "FlowEnv", "FlowVectorEnv", "OpenRun", "choose", "evaluate",
-    "judge", "load_run", "resume", "search", "train",
+    "judge", "load_policy", "load_run", "resume", "search", "train",
 ]  # fmt: skip

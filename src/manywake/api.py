@@ -22,9 +22,11 @@ from manywake.case.learning import Learning
 from manywake.case.task import Task
 from manywake.flow.baseline import Progress
 from manywake.learn import blocks, controllers, external, flows
+from manywake.learn import policy as policies
 from manywake.learn.collect import usable_cores
 from manywake.learn.engine import Engine, Processes, Threads
 from manywake.learn.evaluate import Evaluation, Evaluations
+from manywake.learn.policy import Policy
 from manywake.learn.rollout import Evaluated, Simulation
 from manywake.learn.runs import Run, checked
 from manywake.learn.settings import Collection, Settings
@@ -208,6 +210,20 @@ def load_run(
     case, task = about["name"] if case is None else case, about["protocol"] if task is None else task
     chosen = load.choose(case, task, **{**about["overrides"], **overrides})
     return OpenRun(run, flows.reopen(run.folder, about, run.described()["kept"], chosen))
+
+
+def load_policy(path: str | Path) -> Policy:
+    """Return the policy of a run: policy(observation) is its action without noise. It reads numbers, and runs nothing.
+
+    path: a run's folder, for its newest policy, or one of the files in its `versions`; neither needs torch. Or one of
+    its checkpoints. Observations are as the environment gives them, (values,) or (B, values).
+    """
+    path = Path(path)
+    if path.suffix == ".zip":
+        from manywake.learn import checkpoints
+
+        return checkpoints.read(path)
+    return policies.read(path) if path.suffix == ".npz" else Run(path).newest_version()
 
 
 def layout(how: Collection, period: int) -> blocks.Layout:

@@ -60,7 +60,11 @@ def policy(run: Run, name: str = "last") -> Policy:
     """
     if name == "last":
         return ppo.from_state(newest(run)[2])
-    path = run.checkpoints / f"{name}.zip"
+    return read(run.checkpoints / f"{name}.zip")
+
+
+def read(path: Path) -> Policy:
+    """Return the policy of a checkpoint's file; ValueError when it is not there, or not whole."""
     if not path.exists():
         there = sorted(other.stem for other in path.parent.glob("*.zip"))
         raise ValueError(f"checkpoint: {path} is not there; wanted one of {there}")

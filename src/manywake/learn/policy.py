@@ -32,6 +32,14 @@ class Policy:
     log_std: np.ndarray
     std: np.ndarray
 
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        """Return the mean action (actions,) or (B, actions) for an observation as it is, (values,) or (B, values)."""
+        seen = np.asarray(observation, dtype=np.float64)
+        if seen.ndim not in (1, 2) or seen.shape[-1] != len(self.mean):
+            values = len(self.mean)
+            raise ValueError(f"observation: got shape {seen.shape}, wanted ({values},), or a row of it for each flow")
+        return act(self, np.atleast_2d(seen)).reshape(*seen.shape[:-1], -1).astype(np.float32)
+
 
 @kernel
 def _dense(weight, bias, x, floor, out):

@@ -83,6 +83,13 @@ class Run:
         """Return where the policy after `number` updates is kept, for episodes on their way and for replay."""
         return self.folder / "versions" / f"{number:06d}.npz"
 
+    def newest_version(self) -> Policy:
+        """Return the policy after the last update that was made; ValueError where there is none."""
+        known = sorted((self.folder / "versions").glob("*.npz"))
+        if not known:
+            raise ValueError(f"policy: {self.folder} has none, wanted a folder made by manywake train")
+        return policies.read(known[-1])
+
     def version(self, number: int) -> Policy:
         """Return the policy after `number` updates; ValueError when the run did not get there."""
         path = self.version_path(number)
