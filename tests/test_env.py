@@ -248,6 +248,29 @@ def test_same_step_gives_the_final_observation_beside_the_new_one():
     np.testing.assert_array_equal(ours[4]["final_info"]["c_d"], twin[4]["c_d"])
 
 
+def test_a_single_flow_wants_a_reset_before_its_first_action_past_its_end_and_once_closed():
+    environment = FlowEnv(actions=2)
+    still = np.zeros(environment.action_space.shape)
+    wanted = pytest.raises(ValueError, match="while no episode is under way, wanted reset")
+    with wanted:
+        environment.step(still)
+    environment.reset(seed=0)
+    assert [environment.step(still)[3] for _ in range(2)] == [False, True]
+    with wanted:
+        environment.step(still)
+    environment.reset(seed=0)
+    environment.close()
+    with wanted:
+        environment.step(still)
+
+
+def test_seeds_may_be_an_array():
+    flows = FlowVectorEnv(2, actions=2)
+    np.testing.assert_array_equal(flows.reset(seed=np.array([4, 9]))[0], flows.reset(seed=[4, 9])[0])
+    with pytest.raises(ValueError, match="seed: got 1, wanted one for each of the 2 flows, or one for all"):
+        flows.reset(seed=np.array([4]))
+
+
 def test_disabled_wants_a_reset_of_those_that_ended():
     batch = vector(3, AutoresetMode.DISABLED)
     first, _ = batch.reset(seed=0)

@@ -1,5 +1,6 @@
 """A training that is killed, stopped or starved goes on to the same bits; what cannot go on says why."""
 
+import _thread
 import base64
 import dataclasses
 import json
@@ -218,6 +219,40 @@ def test_a_worker_killed_in_mid_training_changes_no_bit(tmp_path, whole):
     rows = tables.read(tmp_path / "run" / "failures.csv")
     assert trained.failures == len(rows) >= 1
     assert all(row["kind"] == "died" for row in rows)
+
+
+def test_a_fork_server_killed_in_mid_training_changes_no_bit(tmp_path, whole):
+    engine = Processes(2)
+    victims = {engine.submit(os.getppid).result(60)}
+
+    def show(episodes, shares, failures):
+        while victims:
+            os.kill(victims.pop(), signal.SIGKILL)
+
+    try:
+        trained = train.train(tmp_path / "run", short(), settings(), engine, Layout(4, 2, 1), show)
+    finally:
+        engine.close()
+    assert final(tmp_path / "run") == final(whole["synced"])
+    assert trained.failures >= 1
+
+
+def test_a_training_that_is_stopped_by_hand_counts_no_block_as_lost(tmp_path, whole):
+    once = [_thread.interrupt_main]
+
+    def stop(episodes, shares, failures):
+        while once:
+            once.pop()()  # as Ctrl-C does, while the other worker plays
+
+    engine = Processes(2)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            train.train(tmp_path / "run", short(), settings(), engine, Layout(4, 2, 1), stop)
+    finally:
+        engine.close()
+    assert not (tmp_path / "run" / "failures.csv").exists()
+    assert resume(tmp_path / "run", Threads(1), LAYOUT).failures == 0
+    assert final(tmp_path / "run") == final(whole["synced"])
 
 
 def test_a_full_disk_stops_the_training_and_says_how_to_go_on(tmp_path, whole):

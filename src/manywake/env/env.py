@@ -94,6 +94,8 @@ class FlowVectorEnv(gymnasium.vector.VectorEnv):
         seed: of the first flow's episode, the others' being those that follow; or a seed, or None, for each flow. A
         flow without one goes on to the seed that its own generator draws.
         """
+        if isinstance(seed, np.ndarray):
+            seed = seed.tolist()
         if seed is None:
             given: list[int | None] = [None] * self.num_envs
         else:
@@ -167,18 +169,27 @@ class FlowEnv(gymnasium.Env):
         self._batch = FlowVectorEnv(1, case, task, AutoresetMode.DISABLED, **overrides)
         self.case, self.task = self._batch.case, self._batch.task
         self.observation_space, self.action_space = spaces(self.case, self.task)
+        self._under_way = False
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """Begin the episode of a seed; without one, that of a seed drawn from `np_random`."""
         super().reset(seed=seed, options=options)
         observation, info = self._batch.reset(seed=_drawn(self.np_random) if seed is None else seed)
+        self._under_way = True
         return observation[0], _single(info)
 
     def step(self, action):
         """Hold the action for one action interval."""
+        if not self._under_way:
+            raise ValueError("step: got an action while no episode is under way, wanted reset() first")
         _checked(action, self.action_space.shape)
         observation, reward, terminated, truncated, info = self._batch.step(np.asarray(action)[None])
+        self._under_way = not (terminated[0] or truncated[0])
         return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), _single(info)
+
+    def close(self):
+        """End what is under way."""
+        self._under_way = False
 
 
 def _single(info: dict[str, Any]) -> dict[str, Any]:

@@ -49,6 +49,10 @@ class EpisodeFailed(RuntimeError):
         self.index = index
 
 
+class Stopped(RuntimeError):
+    """Nothing is collected any more."""
+
+
 @dataclass
 class Collector:
     """Plays the episodes of a training on an engine, in the order that `order` says.
@@ -102,6 +106,11 @@ class Collector:
         if self._error is not None and (ready is None or not isinstance(self._error, EpisodeFailed)):
             raise self._error
         return ready
+
+    def stop(self) -> None:
+        """Take what still comes for nothing, and start no more: what a closing engine ends is no failure."""
+        with self._change:
+            self._error = self._error or Stopped("the training has ended")
 
     def resume(self, version: int, pending: Iterable[tuple[int, int]], policy_of: Callable[[int], Policy]) -> None:
         """Go on from before the update of `version`: start what was `pending` then. policy_of: policies by version."""

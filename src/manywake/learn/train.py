@@ -197,6 +197,7 @@ def _learn(training: Training, model: EpisodicPPO, show: Show) -> Trained:
         what = f"run: cannot write {error.filename or folder} ({error})"
         raise RuntimeError(f"{what}; make room, then go on with: manywake resume {folder}") from error
     finally:
+        collector.stop()
         model.logger.close()
     episodes = model.version * learning.update_period
     return Trained(training.progress.wall_s, episodes, ppo.digest(model), training.progress.reached, training.failures)
