@@ -234,3 +234,43 @@ def test_a_killed_fork_server_loses_what_was_under_way_and_no_more(processes):
         with pytest.raises(WorkerDied):
             future.result(60)
     assert processes.submit(double, shared).result(60) == 82
+
+
+def test_a_full_disk_is_named_by_the_folder_it_is_in(tmp_path, temporary):
+    script = tmp_path / "trainer.py"
+    script.write_text(
+        textwrap.dedent(
+            """
+            import resource
+            from manywake.learn.engine import Processes
+
+            if __name__ == "__main__":
+                engine = Processes(1)
+                resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+                try:
+                    engine.share(bytes(10000))
+                except OSError as error:
+                    print(error)
+                engine.close()
+            """
+        )
+    )
+    given = os.environ | {"TMPDIR": temporary}
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, env=given, check=True)
+    assert f"File too large: '{temporary}/manywake-" in done.stdout
+    assert emptied(temporary)
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="needs a folder on a disk without room")
+def test_a_full_cache_costs_a_compilation_and_no_more():
+    code = (
+        "import numpy as np; from manywake.machine.compile import kernel\n"
+        "@kernel\ndef double(x):\n    return 2 * x\n"
+        "print(double(21))"
+    )
+    given = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"} | {
+        "XDG_CACHE_HOME": "/proc"
+    }
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=given)
+    assert done.stdout == "42\n", done.stderr
+    assert "cache: /proc has 0 MB of free space, wanted 100 MB" in done.stderr

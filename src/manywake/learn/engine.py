@@ -101,8 +101,11 @@ class Processes:
         return pool
 
     def share(self, value: Any) -> Any:
-        with tempfile.NamedTemporaryFile(dir=self._folder, delete=False) as file:
-            pickle.dump(value, file, pickle.HIGHEST_PROTOCOL)  # read by our own workers only, as from a pipe
+        try:
+            with tempfile.NamedTemporaryFile(dir=self._folder, delete=False) as file:
+                pickle.dump(value, file, pickle.HIGHEST_PROTOCOL)  # read by our own workers only, as from a pipe
+        except OSError as error:  # a full disk names no file
+            raise OSError(error.errno, error.strerror, self._folder) from error
         shared = Shared(file.name)
         weakref.finalize(shared, Path(file.name).unlink, missing_ok=True)
         return shared

@@ -1,6 +1,8 @@
 """Compilation of kernels by numba: without the interpreter lock, on first use, cached on disk."""
 
 import hashlib
+import shutil
+import warnings
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -21,14 +23,32 @@ def _cache_folder() -> str:
     return str(user_cache_path("manywake") / "kernels" / key)
 
 
+ROOM = 100e6
+"""Bytes that must be free where kernels are kept; what all of them take is a fifth of it."""
+
+
+@cache
+def _kept(folder: str) -> bool:
+    """Return whether kernels can be kept in a folder; a warning says why not where its disk is full."""
+    there = next(path for path in (Path(folder), *Path(folder).absolute().parents) if path.exists())
+    free = shutil.disk_usage(there).free
+    if free < ROOM:
+        warnings.warn(
+            f"cache: {there} has {free / 1e6:.0f} MB of free space, wanted {ROOM / 1e6:.0f} MB, so kernels are "
+            "compiled anew in every process; make room, or set XDG_CACHE_HOME to another folder",
+            stacklevel=2,
+        )
+    return free >= ROOM
+
+
 def kernel(function) -> Any:
     """Compile a plain function of arrays; in every process anew where no folder can be written to."""
     config: Any = numba.config
     before = config.CACHE_DIR
     config.CACHE_DIR = before or _cache_folder()
     try:
-        return numba.njit(error_model="numpy", nogil=True, cache=True)(function)
-    except RuntimeError:
+        return numba.njit(error_model="numpy", nogil=True, cache=_kept(config.CACHE_DIR))(function)
+    except RuntimeError:  # it cannot be written to
         return numba.njit(error_model="numpy", nogil=True)(function)
     finally:
         config.CACHE_DIR = before
