@@ -3,7 +3,7 @@
 Run: manywake bench roofline --json
 
 One core, one block of lanes, arrays as in a step. Peak and bandwidth are measured here too, by loops that do nothing
-else: independent fused multiply-adds in registers, and reads of an array as large as what a step reads. Arithmetic
+else: independent fused multiply-adds in registers, and reads of an array as large as what the kernel reads. Arithmetic
 counts an add, a multiply and each half of a fused multiply-add as one; traffic counts every array of a kernel once for
 each pass over it, which is the least it can be while the arrays do not fit the nearest cache.
 """
@@ -115,11 +115,15 @@ def _multiply_adds(wide: int) -> float:
     return 12 * 2 * wide * 10_000 / _seconds(lambda k: _multiply_add(10_000 * k, x, out), 5)
 
 
-def peaks(width: int, size: int) -> tuple[float, float]:
-    """Return GFLOP/s of multiply-adds on singles, at the best of three widths, and GB/s of reading `size` bytes again and again."""
-    flops = max(_multiply_adds(wide) for wide in (width, 2 * width, 4 * width))
+def peak(width: int) -> float:
+    """Return GFLOP/s of multiply-adds on singles, at the best of three widths."""
+    return max(_multiply_adds(wide) for wide in (width, 2 * width, 4 * width)) / 1e9
+
+
+def bandwidth(width: int, size: int) -> float:
+    """Return GB/s of reading `size` bytes again and again."""
     wide, one = (simd.zeros((rows, 1), 2 * width, np.float32) for rows in (size // (8 * width), 1))
-    return flops / 1e9, wide.nbytes / _seconds(lambda k: _read(k, wide, one)) / 1e9
+    return wide.nbytes / _seconds(lambda k: _read(k, wide, one)) / 1e9
 
 
 def work(ops: Operators, width: int) -> dict[str, tuple[Callable[[int], Any], int, int]]:
@@ -179,18 +183,17 @@ def measure() -> dict[str, Any]:
     flow, width = flows.flow(cylinder_jets.CASE), simd.WIDTHS[0]
     ops = flow.operators
     passes = work(ops, width)
-    everything = sum(traffic for _, _, traffic in passes.values())
-    flops, bandwidth = peaks(width, everything // 2)
-    rows = {}
+    flops, rows = peak(width), {}
     for name, (run, arithmetic, traffic) in passes.items():
-        took = _seconds(run)
-        least = max(arithmetic / flops, traffic / bandwidth) / 1e9
+        took, speed = _seconds(run), bandwidth(width, traffic)
+        least = max(arithmetic / flops, traffic / speed) / 1e9
         rows[name] = {
             "ms": took * 1e3,
             "mflop": arithmetic / 1e6,
             "mbyte": traffic / 1e6,
             "ms_by_arithmetic": arithmetic / flops / 1e6,
-            "ms_by_traffic": traffic / bandwidth / 1e6,
+            "bandwidth_gbytes": speed,
+            "ms_by_traffic": traffic / speed / 1e6,
             "share_of_roof": least / took,
         }
     batch, still = FlowBatch(ops, flow.baseline.start, width), np.zeros((25, len(ops.inputs), width))
@@ -199,7 +202,6 @@ def measure() -> dict[str, Any]:
         "case": "cylinder-jets",
         "lanes": width,
         "peak_gflops": flops,
-        "bandwidth_gbytes": bandwidth,
         "kernels": rows,
         "sum_ms": sum(row["ms"] for row in rows.values()),
         "step_ms": step * 1e3,
