@@ -66,8 +66,8 @@ class FreeFlows:
             if not all(np.isfinite(series[-1]).all() for series in record[-1].values()):
                 time = done * unit + (at + chunk) * dt
                 raise BlewUp(
-                    f"baseline: the flow blew up by time {time:g} of its {what}; halve the time step {dt:g}. Past Re "
-                    "300 a wake may come back in through an Outflow whatever the step: take finer sizes (Sizes.at)"
+                    f"baseline: the flow blew up by time {time:g} of its {what}; halve the time step {dt:g}, or take "
+                    "finer sizes: Sizes.at(reynolds)"
                 )
             report(what, min((done + duration * min((at + chunk) / steps, 1.0)) / (of or duration), 1.0))
         return readings.joined(record)

@@ -26,6 +26,9 @@ class Ray:
             import ray
             from ray import exceptions
             from ray._private import ray_constants
+            from ray._private.authentication.authentication_token_setup import (
+                maybe_enable_token_auth_if_token_available,
+            )
         except ImportError as error:
             remedy = "install it with: pip install 'manywake[ray]'"
             raise RuntimeError(f"engine: ray cannot be loaded ({error}); {remedy}") from error
@@ -40,6 +43,8 @@ class Ray:
             own: dict[str, Any] = {"num_cpus": max(1, round(slots * cpus)), "include_dashboard": False}
             ray.init(address="local", _node_ip_address="127.0.0.1", **own, **quiet)
         elif self._mine:
+            # ray start demands the token that an earlier Ray of this home has left; Ray sends it to "auto" only
+            maybe_enable_token_auth_if_token_available(warn_if_disabled=False)
             try:
                 ray.init(address=address, **quiet)
             except (ConnectionError, ValueError) as error:

@@ -1,0 +1,53 @@
+"""The commands of README and docs/cluster.md in their order, in one home that nothing of Ray was in before."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from manywake.machine import compile
+
+SHORT = ["--actions", "2", "--update-period", "2", "--episodes", "2", "--hidden", "8", "--workers", "2", "--json"]
+
+
+def free_port() -> int:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return listener.getsockname()[1]
+
+
+@pytest.fixture
+def home(tmp_path):
+    """Return an environment whose home is empty but for the kernels."""
+    kept = {"NUMBA_CACHE_DIR": os.environ.get("NUMBA_CACHE_DIR") or compile._cache_folder()}
+    rest = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
+    return rest | kept | {"HOME": str(tmp_path)}
+
+
+def trained(home: dict[str, str], folder: Path, *words: str) -> str:
+    """Train as a command; return the policy's hash."""
+    command = [sys.executable, "-m", "manywake.cli", "train", "--run", str(folder), *SHORT, *words]
+    done = subprocess.run(command, env=home, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr[-2000:]
+    return json.loads(done.stdout.splitlines()[-1])["policy_sha256"]
+
+
+def test_ray_of_our_own_then_a_cluster_that_was_started_by_hand(tmp_path, home):
+    serial = trained(home, tmp_path / "serial", "--engine", "serial", "--workers", "1")
+    assert trained(home, tmp_path / "own", "--engine", "ray") == serial
+    port = free_port()
+    ray = Path(sys.executable).parent / "ray"
+    words = ["start", "--head", "--port", str(port), "--num-cpus", "2", "--include-dashboard", "false", "--block"]
+    with subprocess.Popen([ray, *words], env=home, start_new_session=True, stdout=subprocess.PIPE, text=True) as head:
+        try:
+            for line in head.stdout:
+                if "Ray runtime started" in line:
+                    break
+            assert trained(home, tmp_path / "cluster", "--engine", "ray", "--address", f"127.0.0.1:{port}") == serial
+        finally:
+            head.terminate()
+            head.communicate(timeout=60)
