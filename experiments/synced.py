@@ -37,9 +37,9 @@ PAPER_SHARE = 0.003
 """The learner's share of the paper's serial training."""
 
 
-def group(setup: Setup) -> dict[str, list[Training]]:
-    """Return the trainings with as many environments as an update has episodes, a seed each."""
-    return trainings.seeded(setup, "synced", EPISODES, {"20": {}})
+def group(setup: Setup, count: int = 3) -> dict[str, list[Training]]:
+    """Return the trainings with as many environments as an update has episodes, one for each of `count` seeds."""
+    return trainings.seeded(setup, "synced", EPISODES, {"20": {}}, count)
 
 
 def wanted(setup: Setup) -> dict[str, list[Training]]:

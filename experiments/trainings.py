@@ -26,9 +26,9 @@ NAME = "cylinder-jets-goda"
 CASE = load.load(NAME).case
 
 
-def seeds(setup: Setup) -> range:
-    """Return the seeds of a series of trainings: three, as in the paper."""
-    return range(2 if setup.miniature else 3)
+def seeds(setup: Setup, count: int = 3) -> range:
+    """Return the seeds of a series of trainings: three, as in the paper, or more."""
+    return range(2 if setup.miniature else count)
 
 
 def period(setup: Setup) -> int:
@@ -101,10 +101,12 @@ def by_protocol(
     return Training(figure, name, case, protocol, tuple(changes.items()), settings)
 
 
-def seeded(setup: Setup, figure: str, episodes: int, sets: dict[str, dict[str, Any]]) -> dict[str, list[Training]]:
-    """Return series of trainings, one for each seed; a series is what its settings change."""
+def seeded(
+    setup: Setup, figure: str, episodes: int, sets: dict[str, dict[str, Any]], count: int = 3
+) -> dict[str, list[Training]]:
+    """Return series of trainings, one for each of `count` seeds; a series is what its settings change."""
     return {
-        series: [by_protocol(setup, figure, series, seed, episodes, **changes) for seed in seeds(setup)]
+        series: [by_protocol(setup, figure, series, seed, episodes, **changes) for seed in seeds(setup, count)]
         for series, changes in sets.items()
     }
 

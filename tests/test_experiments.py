@@ -149,11 +149,41 @@ def test_a_rerun_that_differs_in_one_digit_fails_loudly(setup, tmp_path):
         synced.run(other)
 
 
-def test_harm_is_a_difference_beyond_the_seeds_spread(setup):
+def test_harm_is_a_difference_whose_interval_leaves_nought_out():
     drag = {"synced 20": [3.00, 3.01, 3.02], "same": [3.00, 3.02, 3.03], "worse": [3.10, 3.11, 3.12]}
     found = overparallel.harm(drag)
-    assert found["same"]["no_harm"] and not found["worse"]["no_harm"]
-    assert found["worse"]["p_of_harm"] < 0.01 < found["same"]["p_of_harm"]
+    assert found["same"]["low"] < 0.0 < found["same"]["high"] and 0.0 < found["worse"]["low"]
+    assert found["worse"]["p"] < 0.01 < found["same"]["p"]
+    # by hand: both have the standard deviation 0.01, so the difference 0.1 has the error 0.01 sqrt(2 / 3), and t(4)
+    # leaves 2.5 % above 2.7764
+    assert found["worse"]["difference"] == pytest.approx(0.1)
+    assert found["worse"]["high"] == pytest.approx(0.1 + 2.7764 * 0.01 * np.sqrt(2 / 3), rel=1e-4)
+    assert found["same"] == pytest.approx(
+        overparallel.harm({"same": drag["same"], "synced 20": drag["synced 20"]})["same"]
+    )
+
+
+def test_a_policy_that_is_no_better_than_no_control_is_named_by_its_seed():
+    final = {"series": ["a", "a", "b"], "seed": [0.0, 1.0, 0.0], "c_d": [2.95, 3.5, 3.0]}
+    assert overparallel.failed({name: np.array(column) for name, column in final.items()}) == {"a": [1]}
+
+
+def test_a_speed_up_is_that_of_the_model_and_never_more_than_there_are_environments(setup):
+    full = replace(setup, miniature=False)
+    assert overparallel.speedup(full, 1, False) == pytest.approx(1.0)
+    # 300 episodes by 60 environments are five rounds, three updates each, of which the learner's three stand in a row
+    assert 55.0 < overparallel.speedup(full, 60, True) < 60.0
+    assert overparallel.speedup(full, 60, True, update=5.0) < overparallel.speedup(full, 60, True)
+
+
+def test_a_spectrum_has_each_line_where_it_is_and_as_high_as_it_is():
+    time = TINY.dt * np.arange(40000)
+    mine = {"c_l": 2.0 + 0.3 * np.sin(2 * np.pi * 3.0 * time), "jet": 5e-4 * np.cos(2 * np.pi * 6.0 * time)}
+    rows = controlled_wake._spectrum(TINY, mine, "mine")
+    for name, strouhal, height in (("c_l", 0.3, 0.3), ("jet", 0.6, 0.5)):  # the jet in units of 1e-3
+        highest = max(rows, key=lambda row, name=name: row[name])
+        assert highest["strouhal"] == pytest.approx(strouhal, abs=0.005)
+        assert highest[name] == pytest.approx(height, rel=0.01)
 
 
 def test_minibatches_are_a_fifth_of_the_batch_whatever_the_episode_is(setup):
