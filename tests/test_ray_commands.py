@@ -51,3 +51,9 @@ def test_ray_of_our_own_then_a_cluster_that_was_started_by_hand(tmp_path, home):
         finally:
             head.terminate()
             head.communicate(timeout=60)
+
+
+def test_the_script_for_slurm_is_bash():
+    script = Path(__file__).parents[1] / "examples" / "slurm.sh"
+    done = subprocess.run(["bash", "-n", script], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
