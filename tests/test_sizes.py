@@ -35,8 +35,10 @@ def test_the_default_step_is_the_scheme_s_at_100():
 
 
 def test_the_default_step_shrinks_with_the_reynolds_number_and_with_sizes():
+    coarse = [PLAIN.dt / replace(PLAIN, reynolds=re, sizes=Sizes()).dt for re in (100, 120, 200, 300, 400)]
+    assert coarse == pytest.approx([1, 1, 2, 3, 4])  # baselines were made with 2 parts at Re 200, with 4 at 400
     parts = [PLAIN.dt / replace(PLAIN, reynolds=re, sizes=Sizes.at(re)).dt for re in (100, 120, 200, 300, 400)]
-    assert parts == pytest.approx([1, 1, 2, 2, 3])
+    assert parts == pytest.approx([1, 1, 2, 3, 4])
     assert replace(PLAIN, sizes=Sizes(body=Sizes().body / 4)).dt == pytest.approx(PLAIN.dt / 2)
     assert replace(PLAIN, sizes=Sizes(wake=2.0, body=1.0)).dt == PLAIN.dt  # never longer
 

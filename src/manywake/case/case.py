@@ -13,8 +13,8 @@ from manywake.case.sensors import Sensor, integrals
 
 RESOLVED = 100.0
 """The Reynolds number that the default sizes and the schemes' time steps are for."""
-LENIENT = 0.2
-"""By how much the parts that a scheme's step is cut into may fall short of what the rule asks for."""
+STEEP, LENIENT = 0.85, 0.2
+"""A scheme's step is cut into parts as this power of the Reynolds number; by how much these may fall short of it."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class Case:
         if self.time_step is not None:
             return self.time_step
         finest = min(self.sizes.body / Sizes.body, self.sizes.wake / Sizes.wake, 1.0) if self.bodies else 1.0
-        parts = math.ceil(math.sqrt(self.reynolds / RESOLVED / finest) - LENIENT)
+        parts = math.ceil((self.reynolds / RESOLVED) ** STEEP / math.sqrt(finest) - LENIENT)
         return self.scheme.time_step * self.convective_time / max(parts, 1)
 
     @property

@@ -7,7 +7,7 @@ from manywake.case import *  # noqa: F403 - the words that case files are writte
 from manywake.suite import cylinder_jets
 
 PLAIN = (Circle("cylinder", (0.0, 0.0), cylinder_jets.R),)
-SIZES = Sizes.at(400, wake_axis=0.005)  # on the default's the wake of Re 400 comes back in through the outlet
+SIZES = Sizes.at(400, wake_axis=0.005)  # layers as thin as Re 400 wants them
 CASE = replace(cylinder_jets.CASE, bodies=PLAIN, actuators=(), sensors=(), sizes=SIZES, time_step=None)
 TANG = "Tang et al. 2020, read off a figure"
 NEWTON = "Newton, 15 to 36 thousand P2/P1 triangles"
