@@ -19,7 +19,10 @@ CHECKOUT = Path(__file__).parents[2]
 
 @dataclass(frozen=True)
 class Defect:
-    """In a file below src/manywake, `right` becomes `wrong`; it stands there once. tests: files that ought to notice."""
+    """In a file below src/manywake `right`, which is there once, becomes `wrong`.
+
+    tests: names of the files that ought to notice.
+    """
 
     what: str
     file: str
