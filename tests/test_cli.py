@@ -68,7 +68,7 @@ def test_protocol_sets_the_defaults_that_options_then_override(tmp_path):
     done = manywake("train", "--protocol", "paper", "--run", str(tmp_path / "run"), *TINY)
     assert done.returncode == 0, done.stderr
     settings = json.loads((tmp_path / "run" / "settings.json").read_text())
-    assert settings["format"] == 2
+    assert settings["format"] == 3
     assert settings["simulation"]["protocol"] == "paper"
     assert settings["simulation"]["overrides"] == {"actions": 2}
     assert settings["simulation"]["task"]["reward"]["name"] == "paper"

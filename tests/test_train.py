@@ -14,11 +14,12 @@ import sys
 import time
 import zipfile
 
+import numpy as np
 import pytest
 
 from manywake import api
 from manywake.case.learning import Learning
-from manywake.learn import checkpoints, external, flows, replay, tables, train
+from manywake.learn import checkpoints, external, flows, milestones, replay, tables, train
 from manywake.learn.blocks import Layout
 from manywake.learn.engine import Processes, Threads
 from manywake.learn.flows import Flows
@@ -420,16 +421,29 @@ def test_every_episode_of_a_simulation_of_another_kind_is_replayed_to_the_bit(tm
 
 def test_a_simulation_of_another_kind_is_evaluated(tmp_path):
     toy = Toy(variants=2)
-    trained = train.train(tmp_path / "run", toy, settings(seed=2, learning=TOY_LEARNING), Threads(1), LAYOUT)
+    train.train(tmp_path / "run", toy, settings(seed=2, learning=TOY_LEARNING), Threads(1), LAYOUT)
     opened = api.OpenRun(Run(tmp_path / "run"), toy)
     found, again = api.evaluate(opened), api.evaluate(opened, workers=1)
     assert found.summary() == again.summary()
     first = toy.evaluate(opened.run.version(0), Threads(1))
     assert found.summary()["x"] < 0.5 * first.summary()["x"]
-    reached = trained.reached["0.05"]
-    assert reached is not None and reached[0] % TOY_LEARNING.update_period == 0
+    gained = milestones.gains(opened.run, toy, Threads(1))
+    np.testing.assert_array_equal(gained, milestones.gains(opened.run, toy, Threads(2)))
+    updates = TOY_LEARNING.episodes // TOY_LEARNING.update_period
+    assert len(gained) == updates + 1 and gained[-1] > max(gained[0], 0.05)
+    episodes, seconds = milestones.held(opened.run, gained)["0.05"]
+    assert 0 < episodes <= TOY_LEARNING.episodes and episodes % TOY_LEARNING.update_period == 0 and seconds > 0
     found.draw(opened.folder, "-x")
     assert (opened.folder / "distances-x.txt").exists()
+
+
+def test_a_gain_is_held_from_the_version_on_after_which_none_falls_short(tmp_path):
+    rows = [{"update": k, "episodes": 4 * (k + 1), "wall_s": 10.0 * (k + 1)} for k in range(4)]
+    tables.append(tmp_path / "updates.csv", rows)
+    gained = np.array([0.0, 0.08, 0.06, 0.074, 0.09])
+    assert milestones.held(Run(tmp_path), gained) == {"0.05": (4, 10.0), "0.07": (12, 30.0), "0.075": (16, 40.0)}
+    gained[-1] = np.nan  # it blew up
+    assert set(milestones.held(Run(tmp_path), gained).values()) == {None}
 
 
 def test_a_simulation_of_another_kind_goes_on_by_the_api_too(tmp_path):

@@ -16,7 +16,7 @@ from manywake.case.learning import Learning
 from manywake.cli import show
 from manywake.cli.flow import OnCase
 from manywake.cli.show import Bar, Episodes, Json, console, say
-from manywake.learn import controllers, external, flows, runs
+from manywake.learn import controllers, external, flows, milestones, runs
 from manywake.learn.engine import Threads
 from manywake.learn.rollout import Simulation
 from manywake.learn.runs import Run, write_json
@@ -220,15 +220,24 @@ def _watched(work: Callable[..., Any], opened: api.OpenRun, learning: Learning, 
             say(kept if (folder / "settings.json").exists() else "stopped before there was anything to keep")
             return 130
     numbers = dataclasses.asdict(trained)
+    if isinstance(opened.simulation, flows.Flows):
+        numbers["held"] = _held(opened.run, opened.simulation)
     write_json(folder / "training.json", numbers)
-    for share, when in trained.reached.items():
-        if when is not None:
-            say(f"while exploring, {float(share):.1%} gained after: {when[0]} episodes, {when[1] / 60:.1f} min")
     if trained.failures:
         say(f"{trained.failures} blocks of episodes were lost and played again: {folder / 'failures.csv'}")
     _evaluated(opened, "last", 2, as_json, numbers)
     say(f"trained in {trained.wall_time_s / 60:.1f} min; policy {trained.policy_sha256[:16]}; see {folder}")
     return 0
+
+
+def _held(run: Run, simulation: flows.Flows) -> dict[str, tuple[int, float] | None]:
+    """Say and return from when on the policy without noise held a drag reduction."""
+    with console.status("playing the policy of each update"), closing(Threads(2)) as where:
+        found = milestones.held(run, milestones.gains(run, simulation, where))
+    for share, when in found.items():
+        if when is not None:
+            say(f"without noise {float(share):.1%} less drag from {when[0]} episodes on, {when[1] / 60:.1f} min")
+    return found
 
 
 def _evaluated(

@@ -18,9 +18,6 @@ from manywake.learn.ppo import EpisodicPPO
 from manywake.learn.runs import Run
 from manywake.machine import disk
 
-MILESTONES = ("0.05", "0.07", "0.075")
-"""Gains whose first episode is written down: drag reductions, for a flow."""
-
 
 @dataclass
 class Progress:
@@ -32,7 +29,6 @@ class Progress:
     best: float = -np.inf
     best_version: int = 0
     burst: int = 0
-    reached: dict[str, tuple[int, float] | None] = field(default_factory=lambda: dict.fromkeys(MILESTONES))
 
 
 def save(model: EpisodicPPO, progress: Progress, run: Run, name: str) -> None:

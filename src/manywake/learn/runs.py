@@ -19,8 +19,8 @@ from manywake.learn.policy import Policy
 from manywake.learn.settings import Collection, Settings
 from manywake.machine import disk
 
-FORMAT = 2
-"""Of settings.json; version 0.1.0 wrote another, without a number."""
+FORMAT = 3
+"""Of settings.json and checkpoints; version 0.1.0 wrote others, without a number."""
 
 
 RECORDED = ("manywake", "numba", "numpy", "stable-baselines3", "torch")

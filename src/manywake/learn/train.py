@@ -31,15 +31,11 @@ def quiet(episodes: list[Episode], shares: Shares, failures: int) -> None:
 
 @dataclass(frozen=True)
 class Trained:
-    """What a training leaves. failures: blocks that were lost and played again.
-
-    reached: gain (drag reduction, for a flow) of an update's exploring episodes -> when first: (episodes, seconds).
-    """
+    """What a training leaves. failures: blocks that were lost and played again."""
 
     wall_time_s: float
     episodes: int
     policy_sha256: str
-    reached: dict[str, tuple[int, float] | None]
     failures: int
 
 
@@ -85,11 +81,6 @@ class Training:
         logged = {**model.logger.name_to_value, "train/clipped_before": model.clipped_before}
         row = rows.update(number, episodes, logged, self.progress.burst, clocks, max(clock.values()))
         tables.append(self.run.folder / "updates.csv", [row])
-        whole = [simulation.gain(row) for row in table if not row["terminated"]]
-        gain = float(np.mean(whole)) if whole else np.nan
-        for share, when in self.progress.reached.items():
-            if when is None and gain >= float(share):
-                self.progress.reached[share] = (model.version * len(episodes), clocks.collected)
         self.checkpoint(model)
         self._since = time.perf_counter()
 
@@ -200,7 +191,7 @@ def _learn(training: Training, model: EpisodicPPO, show: Show) -> Trained:
         collector.stop()
         model.logger.close()
     episodes = model.version * learning.update_period
-    return Trained(training.progress.wall_s, episodes, ppo.digest(model), training.progress.reached, training.failures)
+    return Trained(training.progress.wall_s, episodes, ppo.digest(model), training.failures)
 
 
 def _check_space(folder: Path, model: EpisodicPPO) -> None:
