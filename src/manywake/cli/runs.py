@@ -185,7 +185,9 @@ class Search(OnCase):
         with Bar() as bar, closing(Threads(self.workers)) as where:
             simulation = flows.open_flows(self.chosen(self.protocol), bar)
             found = controllers.search(simulation, self.controller, where, self.rounds, self.seed, bar)
-        say("the same at full length: manywake evaluate --case ... --controller ... --numbers ...")
+        numbers = " ".join(f"{number:.6g}" for number in found.numbers)
+        where = f"--case {self.case}" + (f" --protocol {self.protocol}" if self.protocol != "default" else "")
+        say(f"at full length: manywake evaluate {where} --controller {self.controller} --numbers {numbers}")
         show.numbers(dataclasses.asdict(found), self.json)
         return 0
 
