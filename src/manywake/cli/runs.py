@@ -186,8 +186,8 @@ class Search(OnCase):
             simulation = flows.open_flows(self.chosen(self.protocol), bar)
             found = controllers.search(simulation, self.controller, where, self.rounds, self.seed, bar)
         numbers = " ".join(f"{number:.6g}" for number in found.numbers)
-        where = f"--case {self.case}" + (f" --protocol {self.protocol}" if self.protocol != "default" else "")
-        say(f"at full length: manywake evaluate {where} --controller {self.controller} --numbers {numbers}")
+        which = f"--case {self.case}" + (f" --protocol {self.protocol}" if self.protocol != "default" else "")
+        say(f"at full length: manywake evaluate {which} --controller {self.controller} --numbers {numbers}")
         show.numbers(dataclasses.asdict(found), self.json)
         return 0
 
