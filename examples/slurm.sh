@@ -21,7 +21,11 @@ on_head=(srun --overlap --nodes=1 --ntasks=1 --nodelist="$head")
 ip=$("${on_head[@]}" hostname --ip-address | awk '{ print $1 }')
 "${on_head[@]}" --cpus-per-task="$cpus" \
     ray start --head --node-ip-address="$ip" --port="$port" --num-cpus="$cpus" --block &
-until ray status --address "$ip:$port" > /dev/null 2>&1; do sleep 2; done
+first=$!
+until ray status --address "$ip:$port" > /dev/null 2>&1; do
+    kill -0 "$first" || exit 1 # it did not start: its message is above
+    sleep 2
+done
 if [ "$SLURM_NNODES" -gt 1 ]; then
     others=$((SLURM_NNODES - 1))
     srun --overlap --nodes="$others" --ntasks="$others" --exclude="$head" --cpus-per-task="$cpus" \

@@ -168,7 +168,8 @@ def timed(setup: Setup, training: Training) -> Run:
 
 
 def _done(run: Run) -> bool:
-    return (run.folder / "training.json").exists()
+    """Return whether a run has ended; ValueError where it is of another format."""
+    return (run.folder / "training.json").exists() and bool(run.described())
 
 
 def _end(run: Run, result: train.Trained) -> None:

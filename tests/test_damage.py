@@ -128,7 +128,7 @@ DAMAGES = {
     "settings that are no object": (
         lambda f: (f / "settings.json").write_text("[]"),
         "evaluate",
-        "was made by manywake",
+        "has format of something else, wanted 3",
     ),
     "settings that are no text": (lambda f: (f / "settings.json").write_bytes(b"\xff\xfe"), "evaluate", "is damaged"),
     "no settings": (lambda f: (f / "settings.json").unlink(), "evaluate resume replay", "has no settings.json; wanted"),
@@ -156,6 +156,16 @@ DAMAGES = {
         lambda f: edit(f, lambda d: d["layout"].update(lanes="all")),
         "resume",
         "settings.json is damaged, or of another version",
+    ),
+    "a record of later versions that is none": (
+        lambda f: edit(f, lambda d: d.update(later=[{}])),
+        "evaluate resume",
+        'dict is missing required key(s): "from_update", "versions"',
+    ),
+    "an override of a wrong type": (
+        lambda f: edit(f, lambda d: d["simulation"]["overrides"].update(reynolds="abc")),
+        "evaluate resume replay",
+        "its overrides have a value of another type",
     ),
     "a simulation of no kind": (
         lambda f: edit(f, lambda d: d["simulation"].pop("kind")),
@@ -194,12 +204,23 @@ DAMAGES = {
         "resume",
         "whole rows of updates 0 to 2, wanted 6; bring them back, or delete the file to go on without them",
     ),
-    "episodes of noise": (
-        lambda f: (f / "episodes.csv").write_bytes(b"\xff\n\x00,,\n"),
+    "updates without one": (
+        lambda f: cut(f / "updates.csv", 0.7),
         "resume",
-        "wanted 6; bring them",
+        "whole rows of updates 0 to 2, wanted 3; bring them back",
+    ),
+    "episodes with a word for a number": (
+        lambda f: (f / "episodes.csv").write_text((f / "episodes.csv").read_text().replace("0,", "much,", 1)),
+        "evaluate",
+        "episodes.csv is damaged (could not convert string to float: 'much')",
     ),
 }
+
+
+def content(folder: Path) -> dict[Path, bytes]:
+    """Return all that a folder holds, but for pictures and what an evaluation writes."""
+    made = ("evaluation.json", "wake.png", "learning-curve.png")
+    return {path: path.read_bytes() for path in paths(folder) if path.is_file() and path.name not in made}
 
 
 @pytest.mark.parametrize("name", DAMAGES)
@@ -209,11 +230,11 @@ def test_a_damaged_folder_is_refused_and_left_as_it_is(command, whole, tmp_path,
         folder = tmp_path / word
         shutil.copytree(whole, folder)
         damage(folder)
-        before = paths(folder)
+        before = content(folder)
         status, printed = command(word, folder, *(["3"] if word == "replay" else []))
         assert message in printed, word
         assert (status, "Traceback" in printed) == (2, False), word
-        assert paths(folder) == before, word
+        assert content(folder) == before, word
 
 
 class Trap:

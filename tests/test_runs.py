@@ -202,7 +202,7 @@ def of_0_1_0(folder: Path) -> Path:
 
 def test_a_run_of_the_version_before_is_refused_and_told_so(tmp_path):
     folder = of_0_1_0(tmp_path / "old")
-    refused = "was made by manywake 0.1.0, whose runs this version cannot play; install that version, or train anew"
+    refused = "has format of 0.1.0, wanted 3; install the version that made it, or train anew"
     for opening in (
         lambda: Run(folder).settings,
         lambda: Run(folder).layout,
@@ -216,9 +216,9 @@ def test_a_run_of_the_version_before_is_refused_and_told_so(tmp_path):
 
 
 def test_a_run_of_a_version_to_come_is_refused(run, tmp_path):
-    data = json.loads((run[0] / "settings.json").read_text()) | {"format": 3}
+    data = json.loads((run[0] / "settings.json").read_text()) | {"format": 99}
     (tmp_path / "settings.json").write_text(json.dumps(data))
-    with pytest.raises(ValueError, match="whose runs this version cannot play"):
+    with pytest.raises(ValueError, match="has format 99, wanted 3; install the version that made it"):
         api.load_run(tmp_path)
 
 

@@ -208,7 +208,10 @@ def load_run(
             "because a folder names it; give it again: --case FILE, or case=..., task=... in Python"
         )
     case, task = about["name"] if case is None else case, about["protocol"] if task is None else task
-    chosen = load.choose(case, task, **{**about["overrides"], **overrides})
+    try:
+        chosen = load.choose(case, task, **{**about["overrides"], **overrides})
+    except TypeError as error:
+        raise ValueError(f"run: {path} is damaged: its overrides have a value of another type ({error})") from error
     return OpenRun(run, flows.reopen(run.folder, about, run.described()["kept"], chosen))
 
 
@@ -216,7 +219,8 @@ def load_policy(path: str | Path) -> Policy:
     """Return the policy of a run: policy(observation) is its action without noise. It reads numbers, and runs nothing.
 
     path: a run's folder, for its newest policy, or one of the files in its `versions`; neither needs torch. Or one of
-    its checkpoints. Observations are as the environment gives them, (values,) or (B, values).
+    its checkpoints. Observations are flat, as a flow's environment gives them, (values,) or (B, values). Actions are
+    not cut to the action space; a flow's environment does that.
     """
     path = Path(path)
     if path.suffix == ".zip":

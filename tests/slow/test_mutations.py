@@ -214,13 +214,24 @@ def noticed(defect: Defect, folder: Path) -> str | None:
     text = path.read_text()
     assert text.count(defect.right) == 1, f"{defect.file} has {text.count(defect.right)} times: {defect.right}"
     path.write_text(text.replace(defect.right, defect.wrong))
-    files = [str(CHECKOUT / "tests" / f"test_{name}.py") for name in defect.tests.split()]
+    return first_failure(folder, defect.tests)
+
+
+def first_failure(folder: Path, tests: str) -> str | None:
+    """Return the first of some tests that fails on the package in a folder; None where all pass."""
+    files = [str(CHECKOUT / "tests" / f"test_{name}.py") for name in tests.split()]
     words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *files]
     where = os.environ | {"PYTHONPATH": str(folder / "src"), "NUMBA_CACHE_DIR": str(folder / "kernels")}
     done = subprocess.run(words, cwd=CHECKOUT, env=where, capture_output=True, text=True)
     assert done.returncode in (0, 1), done.stdout[-2000:] + done.stderr[-2000:]
     failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
     return failed[0].split(" ")[1] if done.returncode else None
+
+
+def test_a_copy_without_a_defect_passes(tmp_path):
+    shutil.copytree(CHECKOUT / "src", tmp_path / "src")
+    every = sorted({name for defect in DEFECTS for name in defect.tests.split()})
+    assert first_failure(tmp_path, " ".join(every)) is None
 
 
 @pytest.mark.parametrize("defect", DEFECTS, ids=lambda defect: defect.what)

@@ -13,8 +13,10 @@ from manywake.case.sensors import Sensor, integrals
 
 RESOLVED = 100.0
 """The Reynolds number that the default sizes and the schemes' time steps are for."""
-STEEP, LENIENT = 0.85, 0.2
-"""A scheme's step is cut into parts as this power of the Reynolds number; by how much these may fall short of it."""
+STEEP = 0.85
+"""The parts that a scheme's step is cut into grow as this power of the Reynolds number."""
+LENIENT = 0.2
+"""By how much those parts may fall short of that rule."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Settings of the learner. Free of torch, so that asking for help is quick."""
 
-import math
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Literal
 
 LEAST = {"update_period": 1, "episodes": 1, "n_epochs": 1, "batch_size": 2, "learner_threads": 1}
@@ -14,7 +14,7 @@ BETWEEN = {
     "clip_range": (1e-6, 1e6),
     "ent_coef": (0.0, 1e6),
     "vf_coef": (0.0, 1e6),
-    "max_grad_norm": (1e-12, math.inf),
+    "max_grad_norm": (1e-12, 1e12),
     "log_std_init": (-20.0, 2.0),
 }
 """Numbers, and what they may be from and to."""
@@ -63,12 +63,12 @@ class Learning:
     two that sleep while they wait for each other take longer than one."""
 
     def __post_init__(self) -> None:
-        if self.patience is not None and self.patience < 1:
+        if self.patience is not None and (not isinstance(self.patience, Integral) or self.patience < 1):
             raise ValueError(f"patience: got {self.patience}, wanted at least 1 update, or none to train to the end")
         for name, least in LEAST.items():
-            if (value := getattr(self, name)) != int(value) or value < least:
+            if not isinstance(value := getattr(self, name), Integral) or value < least:
                 raise ValueError(f"{name}: got {value}, wanted a whole number, at least {least}")
-        if any(units != int(units) or units < 1 for units in self.hidden):
+        if any(not isinstance(units, Integral) or units < 1 for units in self.hidden):
             raise ValueError(f"hidden: got {self.hidden}, wanted whole numbers, each at least 1")
         for name, (low, high) in BETWEEN.items():
             if not low <= (value := getattr(self, name)) <= high:

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import shlex
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import KW_ONLY, dataclass
@@ -186,10 +187,16 @@ class Search(OnCase):
             simulation = flows.open_flows(self.chosen(self.protocol), bar)
             found = controllers.search(simulation, self.controller, where, self.rounds, self.seed, bar)
         numbers = " ".join(f"{number:.6g}" for number in found.numbers)
-        which = f"--case {self.case}" + (f" --protocol {self.protocol}" if self.protocol != "default" else "")
-        say(f"at full length: manywake evaluate {which} --controller {self.controller} --numbers {numbers}")
+        said = {"case": self.case, "protocol": self.protocol, "controller": self.controller} | self.overrides()
+        words = [word for name, value in said.items() for word in (f"--{name.replace('_', '-')}", *_words(value))]
+        say(f"at full length: manywake evaluate {shlex.join(words)} --numbers {numbers}")
         show.numbers(dataclasses.asdict(found), self.json)
         return 0
+
+
+def _words(value: Any) -> list[str]:
+    """Return the words of an option's value."""
+    return [word for part in value for word in _words(part)] if isinstance(value, tuple | list) else [str(value)]
 
 
 @dataclass(frozen=True)
@@ -222,9 +229,10 @@ def _watched(work: Callable[..., Any], opened: api.OpenRun, learning: Learning, 
             say(kept if (folder / "settings.json").exists() else "stopped before there was anything to keep")
             return 130
     numbers = dataclasses.asdict(trained)
-    if isinstance(opened.simulation, flows.Flows):
-        numbers["held"] = _held(opened.run, opened.simulation)
     write_json(folder / "training.json", numbers)
+    if isinstance(opened.simulation, flows.Flows) and opened.simulation.chosen.case.bodies:
+        numbers["held"] = _held(opened.run, opened.simulation)
+        write_json(folder / "training.json", numbers)
     if trained.failures:
         say(f"{trained.failures} blocks of episodes were lost and played again: {folder / 'failures.csv'}")
     _evaluated(opened, "last", 2, as_json, numbers)

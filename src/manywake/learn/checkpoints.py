@@ -55,7 +55,7 @@ def policy(run: Run, name: str = "last") -> Policy:
     Only tensors are read, no pickle. ValueError when it is not there, or not whole.
     """
     if name == "last":
-        return ppo.from_state(newest(run)[2])
+        name = newest(run)[0]
     return read(run.checkpoints / f"{name}.zip")
 
 
@@ -67,7 +67,7 @@ def read(path: Path) -> Policy:
     try:
         return ppo.from_state(_read(path)[1])
     except DAMAGE as error:
-        raise ValueError(f"checkpoint: {path} is damaged ({error}); wanted another, as --checkpoint last") from error
+        raise ValueError(f"checkpoint: {path} is damaged ({error}); wanted a whole one") from error
 
 
 DAMAGE = (*disk.DAMAGE, RuntimeError, pickle.UnpicklingError)
@@ -103,11 +103,15 @@ def newest(run: Run) -> tuple[str, Progress, dict[str, Any], dict[str, Any]]:
     raise ValueError(f"run: {run.folder} has no whole checkpoint ({'; '.join(problems)}); it must be trained anew")
 
 
+def drop_damaged(run: Run) -> None:
+    """Remove a damaged last.zip, which the next checkpoint would put in the place of the whole one before."""
+    if newest(run)[0] == "previous":
+        (run.checkpoints / "last.zip").unlink(missing_ok=True)
+
+
 def restore(run: Run, model: EpisodicPPO) -> Progress:
     """Put the newest whole checkpoint into a model; return its progress."""
-    name, progress, weights, moments = newest(run)
-    if name == "previous":  # a damaged last would be put in the place of the whole one by the next checkpoint
-        (run.checkpoints / "last.zip").unlink(missing_ok=True)
+    _, progress, weights, moments = newest(run)
     model.policy.load_state_dict(weights)
     model.policy.optimizer.load_state_dict(moments)
     model.version = progress.version

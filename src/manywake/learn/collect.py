@@ -108,7 +108,7 @@ class Collector:
         return ready
 
     def stop(self) -> None:
-        """Take what still comes for nothing, and start no more: what a closing engine ends is no failure."""
+        """Start no more blocks, and count none as lost: a closing engine ends those that are played."""
         with self._change:
             self._error = self._error or Stopped("the training has ended")
 

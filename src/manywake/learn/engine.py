@@ -86,7 +86,7 @@ class Processes:
 
     def __init__(self, slots: int):
         self.slots = slots
-        self._folder, self._context = tempfile.mkdtemp(dir=room.folder()), _context()
+        self._folder = tempfile.mkdtemp(dir=room.folder())
         self._lock, self._closed = threading.Lock(), False
         self._free = [self._pool() for _ in range(slots)]
         self._pools = set(self._free)
@@ -94,18 +94,20 @@ class Processes:
             pool.schedule(int)  # a pool starts its worker with its first task: let all of them start together
 
     def _pool(self) -> ProcessPool:
-        pool = ProcessPool(1, initializer=_end_with_parent, context=self._context)
+        pool = ProcessPool(1, initializer=_end_with_parent, context=_context())
         workers = pool._pool_manager.worker_manager
         # pebble takes a worker that ends with code 0 for one that was told to; ours never are
         workers.inspect_workers = partial(_ended, workers.workers)  # type: ignore[method-assign]
         return pool
 
     def share(self, value: Any) -> Any:
-        try:
-            with tempfile.NamedTemporaryFile(dir=self._folder, delete=False) as file:
+        with tempfile.NamedTemporaryFile(dir=self._folder, delete=False) as file:
+            try:
                 pickle.dump(value, file, pickle.HIGHEST_PROTOCOL)  # read by our own workers only, as from a pipe
-        except OSError as error:  # a full disk names no file
-            raise OSError(error.errno, error.strerror, self._folder) from error
+                file.flush()
+            except OSError as error:  # a full disk names no file
+                Path(file.name).unlink()
+                raise OSError(error.errno, error.strerror, self._folder) from error
         shared = Shared(file.name)
         weakref.finalize(shared, Path(file.name).unlink, missing_ok=True)
         return shared
@@ -209,7 +211,8 @@ def _stop(pool: ProcessPool) -> None:
 def _context():
     """Return the way to start workers: forked from a server that has imported what they need, where there is one.
 
-    It starts before any thread of ours can matter to it, and with one BLAS thread, so that forking is safe.
+    It starts before any thread of ours can matter to it, and with one BLAS thread, so that forking is safe. One that
+    was killed is started anew, likewise.
     """
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")

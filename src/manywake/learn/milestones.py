@@ -15,9 +15,9 @@ MILESTONES = (0.05, 0.07, 0.075)
 
 
 def gains(run: Run, simulation: Simulation, engine: Engine) -> np.ndarray:
-    """Return the gain of each version of a run's policy, (versions,): of one episode without noise, no training's own.
+    """Return the gain of each version of a run's policy, (versions,), in one episode without noise.
 
-    NaN where an episode ended early, or where there is no such thing as a gain.
+    The episode is none of the training's. NaN where an episode ended early, or where there is no such thing as a gain.
     """
     settings, horizon = run.settings, simulation.horizon
     versions = [int(path.stem) for path in sorted((run.folder / "versions").glob("*.npz"))]
@@ -37,11 +37,13 @@ def gains(run: Run, simulation: Simulation, engine: Engine) -> np.ndarray:
 
 def held(run: Run, gains: np.ndarray) -> dict[str, tuple[int, float] | None]:
     """Return by milestone the episodes and seconds of training from which on no version gained less; None if never."""
-    rows = tables.read(run.folder / "updates.csv")
+    made = {int(row["update"]) + 1: row for row in tables.read(run.folder / "updates.csv")}
     found: dict[str, tuple[int, float] | None] = {}
     for share in MILESTONES:
         short = np.flatnonzero(~(gains >= share))
         first = int(short[-1]) + 1 if len(short) else 0
-        row = rows[max(first, 1) - 1] if first < len(gains) and rows else None
-        found[str(share)] = None if row is None else (int(row["episodes"]) if first else 0, float(row["wall_s"]))
+        row = made.get(first) if first < len(gains) else None
+        found[str(share)] = None if row is None else (int(row["episodes"]), float(row["wall_s"]))
+        if first == 0 and len(gains):
+            found[str(share)] = (0, 0.0)
     return found

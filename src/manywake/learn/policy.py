@@ -60,7 +60,9 @@ def write(policy: Policy, path: Path) -> None:
 
 
 def read(path: Path) -> Policy:
-    """Read what `write` wrote; ValueError when the file is damaged."""
+    """Read what `write` wrote; ValueError when the file is not there or damaged."""
+    if not path.exists():
+        raise ValueError(f"policy: {path} is not there, wanted a file that a training wrote")
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
             count = sum(name.startswith("weight") for name in data.files)

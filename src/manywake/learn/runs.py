@@ -27,6 +27,13 @@ RECORDED = ("manywake", "numba", "numpy", "stable-baselines3", "torch")
 """Packages whose versions a run records."""
 
 
+class _Later(TypedDict):
+    """The versions of what a run's numbers depend on, from an update on."""
+
+    from_update: int
+    versions: dict[str, str]
+
+
 class _Described(TypedDict):
     """What settings.json holds. later: the versions that the run was resumed with, where they had changed."""
 
@@ -38,7 +45,7 @@ class _Described(TypedDict):
     layout: dict[str, int]
     kept: dict[str, Any]
     versions: dict[str, str]
-    later: list[dict[str, Any]]
+    later: list[_Later]
 
 
 class Run:
@@ -59,9 +66,9 @@ class Run:
         except ValueError as error:
             raise ValueError(f"run: {path} is damaged ({error})") from error
         if not isinstance(data, dict) or data.get("format") != FORMAT:
-            made = data.get("versions", {}).get("manywake", "0.1.0") if isinstance(data, dict) else "something else"
-            got = f"{self.folder} was made by manywake {made}, whose runs this version cannot play"
-            raise ValueError(f"run: {got}; install that version, or train anew")
+            made = data.get("format", "of 0.1.0") if isinstance(data, dict) else "of something else"
+            got = f"{path} has format {made}, wanted {FORMAT}"
+            raise ValueError(f"run: {got}; install the version that made it, or train anew")
         return checked({"later": []} | data, _Described, path)
 
     @property

@@ -53,7 +53,7 @@ class Collection:
             raise ValueError(f"address: got {self.address!r} with engine {self.engine}, wanted it with --engine ray")
         for name in ("episode_seconds", "cpus_per_env", "time_limit"):
             value = getattr(self, name)
-            if value is not None and not value > 0:
+            if value is not None and not 0 < value < math.inf:
                 raise ValueError(f"{name}: got {value:g}, wanted more than 0")
         for name in ("episode_spread", "update_seconds"):
             if not 0 <= (value := getattr(self, name)) < math.inf:

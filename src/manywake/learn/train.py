@@ -143,8 +143,12 @@ def resume(
         collector = _collector(settings, simulation, engine, grid, planned)
         model = ppo.build(settings.learning, collector)
         progress = checkpoints.restore(run, model)
-        for name, rows in (("episodes.csv", settings.learning.update_period), ("updates.csv", 1)):
-            tables.cut(folder / name, progress.version, rows)
+        rows = {"episodes.csv": settings.learning.update_period, "updates.csv": 1}
+        for name, count in rows.items():
+            tables.check(folder / name, progress.version, count)
+        checkpoints.drop_damaged(run)
+        for name in rows:
+            tables.cut(folder / name, progress.version)
         tables.cut(folder / "failures.csv")
         runs.went_on(run, progress.version)
         collector.resume(progress.version, progress.pending, run.version)

@@ -23,22 +23,26 @@ def _cache_folder() -> str:
     return str(user_cache_path("manywake") / "kernels" / key)
 
 
-ROOM = 100e6
-"""Bytes that must be free where kernels are kept; what all of them take is a fifth of it."""
+ROOM, LITTLE = 100e6, 10e6
+"""Bytes that must be free where kernels are kept: for the first, and where some are. All of them take a fifth of it."""
 
 
 @cache
 def _kept(folder: str) -> bool:
     """Return whether kernels can be kept in a folder; a warning says why not where its disk is full."""
-    there = next(path for path in (Path(folder), *Path(folder).absolute().parents) if path.exists())
-    free = shutil.disk_usage(there).free
-    if free < ROOM:
+    try:
+        there = next(path for path in (Path(folder), *Path(folder).absolute().parents) if path.exists())
+        free, filled = shutil.disk_usage(there).free, any(Path(folder).rglob("*.nbi"))
+    except OSError:
+        return True  # numba will tell whether it can be written to
+    kept = free >= (LITTLE if filled else ROOM)
+    if not kept:
         warnings.warn(
             f"cache: {there} has {free / 1e6:.0f} MB of free space, wanted {ROOM / 1e6:.0f} MB, so kernels are "
             "compiled anew in every process; make room, or set XDG_CACHE_HOME to another folder",
             stacklevel=2,
         )
-    return free >= ROOM
+    return kept
 
 
 def kernel(function) -> Any:

@@ -8,7 +8,7 @@ from manywake.suite import cylinder_jets
 
 PLAIN = (Circle("cylinder", (0.0, 0.0), cylinder_jets.R),)
 SIZES = Sizes.at(400, wake_axis=0.005)  # layers as thin as Re 400 wants them
-CASE = replace(cylinder_jets.CASE, bodies=PLAIN, actuators=(), sensors=(), sizes=SIZES, time_step=None)
+CASE = replace(cylinder_jets.CASE, bodies=PLAIN, actuators=(), sensors=(), sizes=SIZES)
 TANG = "Tang et al. 2020, read off a figure"
 NEWTON = "Newton, 15 to 36 thousand P2/P1 triangles"
 MEAN = {40: 4.03, 60: 3.515, 80: 3.31, 100: 3.205, 200: 3.145, 300: 3.16, 400: 3.17}
