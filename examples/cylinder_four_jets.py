@@ -2,8 +2,8 @@
 """The channel's cylinder with four jets and a Reynolds number of each episode's own (Tang et al. 2020).
 
 Units as of cylinder-jets: 10 D, the mean inflow U. One mesh serves Re 100 to 400; the agent is not told which it is.
-Four baselines are made at the first use, an hour of one core. At steps of 1e-3 jets of 0.0052 were withstood at Re 100 and
-no more, so the step is half of that. No baseline was made with it yet, and nothing was trained.
+Four baselines are made at the first use, an hour of one core. At steps of 1e-3 no more than 0.0052 was withstood at Re
+100, so the step is half of that. No baseline was made with it yet, and nothing was trained.
 """
 
 from manywake import *
