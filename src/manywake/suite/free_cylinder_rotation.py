@@ -8,3 +8,4 @@ __all__ = ["CASE", "REFERENCES", "TASK"]
 
 CASE = replace(free_cylinder_jets.CASE, actuators=(Rotation("cylinder", limit=1.5708),))  # pi / 2: 0.785 U at the wall
 TASK = Task(0.25, 160, reduction, observe=("pressure", "amplitudes"), law=Exponential(0.1, per=5e-3))
+# policies/free-cylinder-rotation.npz: manywake train --seed 1

@@ -36,6 +36,7 @@ def reduction(now, free):
 REWARDS = {"reduction": reduction, "power": power}
 TASK = Task(0.5, 200, reduction, observe=("wake", "amplitudes"), mixing=PAIR, law=Linear())
 LEARNING = Learning()
+# policies/square-jets.npz: manywake train --seed 0
 PROTOCOLS = {"base": (replace(TASK, observe=("base", "amplitudes")), LEARNING)}
 
 RELEASED = "Xia et al. 2024, released code"
