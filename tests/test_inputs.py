@@ -129,7 +129,8 @@ def swinging_wall(level: int, time_step: float, scheme=BDF2) -> tuple[float, flo
         scheme=scheme,
         time_step=time_step,
     )
-    posed = problem.pose(case, unit_square(level))
+    # the exact flow comes in through an open end, without the traction that slows what does (eq. 23)
+    posed = dataclasses.replace(problem.pose(case, unit_square(level)), open=np.empty(0, int))
     y, rest = posed.space.x[:, 1], np.zeros(len(posed.space.mesh.points))
     ops = baseline.assemble(case, posed, np.stack([SHEAR * y, 0.0 * y], axis=1))
     flow = FlowBatch(ops, Start(layer(y, 0.0), layer(y, -time_step), rest, rest, rest), 1)
