@@ -4,8 +4,9 @@ from manywake.case import *  # noqa: F403 - the words that case files are writte
 from manywake.suite import free_cylinder_jets
 from manywake.suite.free_cylinder_jets import REFERENCES, reduction
 
-__all__ = ["CASE", "REFERENCES", "TASK"]
+__all__ = ["CASE", "CONTROLLERS", "REFERENCES", "TASK"]
 
 CASE = replace(free_cylinder_jets.CASE, actuators=(Rotation("cylinder", limit=1.5708),))  # pi / 2: 0.785 U at the wall
 TASK = Task(0.25, 160, reduction, observe=("pressure", "amplitudes"), law=Exponential(0.1, per=5e-3))
-# policies/free-cylinder-rotation.npz: manywake train --seed 1
+# manywake search --rounds 4; policies/free-cylinder-rotation.npz: manywake train --seed 1
+CONTROLLERS = {"constant": (-0.0315,), "harmonic": (0.1267, 0.1485), "feedback": (-0.0949, -0.0903)}
