@@ -168,8 +168,7 @@ def timed(setup: Setup, training: Training) -> Run:
 
 
 def _done(run: Run) -> bool:
-    """Return whether a run has ended; ValueError where it is of another format."""
-    return (run.folder / "training.json").exists() and bool(run.described())
+    return (run.folder / "training.json").exists()
 
 
 def _end(run: Run, result: train.Trained) -> None:

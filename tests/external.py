@@ -1,5 +1,6 @@
-"""What is not ours: environments, a point to be pushed back to zero and one that fails, and a user's case file."""
+"""What is not ours: environments, a point to be pushed back to zero and one that fails, a user's case file, a trap."""
 
+import os
 from pathlib import Path
 
 import gymnasium
@@ -33,6 +34,16 @@ def case_file(folder: Path) -> Path:
     path = folder / "mine.py"
     path.write_text(CASE)
     return path
+
+
+class Trap:
+    """Unpickled, it makes a folder."""
+
+    def __init__(self, path: Path):
+        self.path = path
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.path),)
 
 
 class Point(gymnasium.Env):

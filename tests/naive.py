@@ -215,9 +215,9 @@ def step(case, space, start, jets, profiles, boundaries, mean, fluctuation, forc
     """Advance one flow by one step in scikit-fem's order; return u, p, phi and what is read, by name.
 
     jets: (2,) flow rates. profiles: (2, n, 2) velocity of the jets at unit flow rate. boundaries: dict with the
-    velocity nodes `fixed` and `slip`, the inlet data `steady` (n, 2), the pressure nodes `pressure` and the names of
-    those that are `open`. mean: (n, 2),
-    zero where the scheme has none. fluctuation: (n,). forces: (force inside the fluid, amplitude) each.
+    velocity nodes `fixed` and `slip`, the inlet data `steady` (n, 2), the pressure nodes `pressure`, and the names of
+    boundaries that are `open`. mean: (n, 2), zero where the scheme has none. fluctuation: (n,). forces: (force inside
+    the fluid, amplitude) each.
     """
     scheme, dt, nu = case.scheme, case.time_step, case.viscosity
     M, K = space.mass, space.stiffness

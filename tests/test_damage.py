@@ -5,7 +5,6 @@ The commands run in this process, on copies of one short run.
 
 import io
 import json
-import os
 import pickle
 import shutil
 import signal
@@ -19,6 +18,8 @@ from stable_baselines3 import PPO
 
 from manywake import load_policy
 from manywake.cli import main
+
+from .external import Trap
 
 SHORT = ["--actions", "2", "--update-period", "2", "--episodes", "6", "--hidden", "8", "--engine", "serial"]
 
@@ -235,16 +236,6 @@ def test_a_damaged_folder_is_refused_and_left_as_it_is(command, whole, tmp_path,
         assert message in printed, word
         assert (status, "Traceback" in printed) == (2, False), word
         assert content(folder) == before, word
-
-
-class Trap:
-    """Unpickled, it makes a folder."""
-
-    def __init__(self, path: Path):
-        self.path = path
-
-    def __reduce__(self):
-        return os.mkdir, (str(self.path),)
 
 
 def with_a_trap_in(path: Path, trap: Trap) -> None:

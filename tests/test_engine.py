@@ -67,17 +67,20 @@ def emptied(folder) -> bool:
     return False
 
 
-def gone(process: int) -> bool:
-    """Return whether a process has ended, within five seconds; a zombie has."""
-    for _ in range(500):
-        try:
-            with open(f"/proc/{process}/stat") as file:
-                if file.read().rsplit(")", 1)[1].split()[0] == "Z":
-                    return True
-        except FileNotFoundError:
-            return True
-        time.sleep(0.01)
-    return False
+def alive(process: int) -> bool:
+    """Return whether a process runs; a zombie does not."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def gone(process: int, seconds: float = 5.0) -> bool:
+    """Return whether a process has ended, within some seconds."""
+    until = time.monotonic() + seconds
+    while alive(process) and time.monotonic() < until:
+        time.sleep(0.02)
+    return not alive(process)
 
 
 @pytest.fixture(params=[Threads, Processes])

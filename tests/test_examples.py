@@ -24,27 +24,14 @@ from manywake.learn.blocks import Layout
 from manywake.learn.engine import Processes, Threads
 from manywake.learn.settings import Collection, Settings
 
+from .test_engine import alive, gone
+
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "examples" / "own_solver"
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT / "src"), str(ROOT)])}
+
 SHORT = {"interval": 0.002, "actions": 3}
 """Two solver steps an action, three actions an episode."""
-
-
-def alive(process: int) -> bool:
-    """Return whether a process runs; a zombie does not."""
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-
-
-def gone(process: int) -> bool:
-    """Return whether a process has ended, within five seconds."""
-    until = time.monotonic() + 5
-    while alive(process) and time.monotonic() < until:
-        time.sleep(0.02)
-    return not alive(process)
 
 
 @pytest.fixture

@@ -29,6 +29,7 @@ from manywake.learn.settings import Collection, Settings
 from manywake.learn.train import Trained
 from manywake.suite import load
 
+from .external import Trap
 from .toy import LEARNING as TOY_LEARNING
 from .toy import Toy
 
@@ -283,16 +284,6 @@ def test_a_disk_that_is_too_small_is_refused_before_the_first_episode(tmp_path):
 def test_more_environments_than_a_synced_update_has_episodes_are_refused(tmp_path):
     with pytest.raises(ValueError, match="envs: got 6, wanted at most the 4 episodes"):
         train.train(tmp_path / "run", short(), settings(), Threads(1), Layout(6, 2, 3))
-
-
-class Trap:
-    """Unpickled, it writes a file."""
-
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        return os.mkdir, (str(self.path),)
 
 
 @pytest.mark.parametrize("member", ["data", "policy.pth"])

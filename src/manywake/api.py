@@ -198,10 +198,11 @@ def load_run(
     the run recorded; one of another simulation wants `env`. overrides: those that were given as objects.
     """
     run = Run(Path(folder))
-    path = run.folder / "settings.json"
-    if run.simulation.get("kind") == external.KIND:
-        return OpenRun(run, external.reopen(run.folder, checked(run.simulation, external.Described, path), env))
-    about = checked(run.simulation, flows.Described, path)
+    described = run.described()
+    if described["simulation"].get("kind") == external.KIND:
+        about = checked(described["simulation"], external.Described, run.path)
+        return OpenRun(run, external.reopen(run.folder, about, env))
+    about = checked(described["simulation"], flows.Described, run.path)
     if case is None and not (about["shipped"] and about["name"] in load.names()):
         raise ValueError(
             f"case: {run.folder} was made with its user's own ({about['file'] or 'made in Python'}), which is not run "
@@ -211,8 +212,8 @@ def load_run(
     try:
         chosen = load.choose(case, task, **{**about["overrides"], **overrides})
     except TypeError as error:
-        raise ValueError(f"run: {path} is damaged: its overrides have a value of another type ({error})") from error
-    return OpenRun(run, flows.reopen(run.folder, about, run.described()["kept"], chosen))
+        raise ValueError(f"run: {run.path} is damaged: its overrides have a value of another type ({error})") from error
+    return OpenRun(run, flows.reopen(run.folder, about, described["kept"], chosen))
 
 
 def load_policy(path: str | Path) -> Policy:

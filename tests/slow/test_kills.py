@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ..test_engine import gone
+
 VICTIMS = ("trainer", "worker", "fork server")
 ENV = ["--env", "tests.external:make"]
 TRAINING = [*ENV, "--actions", "20", "--update-period", "8", "--episodes", "320", "--hidden", "16", "--workers", "2"]
@@ -66,24 +68,11 @@ def chosen(trainer: int, victim: str, rng: np.random.Generator) -> int | None:
     return int(rng.choice(among)) if among else None
 
 
-def gone(processes) -> bool:
-    """Return whether processes have ended, within twenty seconds; a zombie has."""
-
-    def lives(process: int) -> bool:
-        try:
-            return Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-        except OSError:
-            return False
-
-    until = time.monotonic() + 20.0
-    while any(map(lives, processes)) and time.monotonic() < until:
-        time.sleep(0.05)
-    return not any(map(lives, processes))
-
-
 def survived(victim: str, seed: int, seconds: float, wanted: str) -> str:
-    """Train, kill one process at a random time, go on if need be; return what was done. AssertionError where bits, a
-    process or a folder tell of it."""
+    """Train, kill one process at a random time, go on if need be; return what was done.
+
+    AssertionError where bits, a process or a folder tell of it.
+    """
     rng = np.random.default_rng(seed)
     engine = "ray" if victim == "ray" else "processes"
     begin = RAY_STARTS if victim == "ray" else 0.0
@@ -100,7 +89,7 @@ def survived(victim: str, seed: int, seconds: float, wanted: str) -> str:
         if process is not None and not late:
             os.kill(process, signal.SIGKILL)
         found = policy(running, may_fail=victim == "ray")  # a Ray of our own may go with its raylet
-        assert gone(kin), "processes are left"
+        assert all(gone(process, 20.0) for process in kin), "processes are left"
         while found is None:
             words = (
                 ("resume", folder, *ENV)

@@ -165,9 +165,10 @@ def assemble(
     coupling_rows = np.flatnonzero(np.diff(to_fixed.indptr))
     coupling = factors.rows(to_fixed[coupling_rows])
     driven = np.flatnonzero(abs(problem.profiles).max(axis=(0, 2), initial=0.0)[velocity])
+    place = np.argsort(velocity)
     acting = {
-        **_elements(space, np.argsort(velocity)),
-        **_open_ends(problem, np.argsort(velocity)),
+        **_elements(space, place),
+        **_open_ends(problem, place),
         **_linear(space, scheme, dt, nu, velocity, pressure, len(free) + len(read)),
         "coupling_rows": coupling_rows.astype(np.uint32),
         "coupling": coupling._replace(column=coupling.column + np.uint32(len(free))),

@@ -6,7 +6,6 @@ Method: docs/numerics.md, "Steady flow".
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -75,7 +74,7 @@ class _Equations:
         held = problem.fixed, n + problem.fixed, n * problem.held + problem.slip, pinned
         self.free = np.setdiff1d(np.arange(2 * n + m), np.concatenate(held))
         self.boundary = np.concatenate([*problem.steady.T, np.zeros(m)])
-        self.open: Any = Wall(self.space, problem.open).basis if len(problem.open) else None
+        self.open = Wall(self.space, problem.open) if len(problem.open) else None
 
     def stokes(self, s: float) -> np.ndarray:
         """Return the flow without inertia."""
@@ -85,36 +84,36 @@ class _Equations:
 
     def residual(self, x: np.ndarray, s: float) -> tuple[np.ndarray, sp.csr_matrix]:
         """Return the residual at x, and the matrix that makes it from x: advection with the velocity as it is."""
-        N = spaces.advection(self.space, x[: 2 * self.n].reshape(2, self.n).T)
+        velocity = self.velocity(x)
+        N = spaces.advection(self.space, velocity)
         if self.open is not None:
-            N = N + _returning.assemble(self.open, back=np.minimum(self._outwards(x), 0.0))
+            N = N + _returning.assemble(self.open.basis, back=np.minimum(self.open.field(velocity)[2], 0.0))
         matrix = self._matrix(s, N)
         return matrix @ x, matrix
 
     def jacobian(self, x: np.ndarray, matrix: sp.csr_matrix) -> sp.csc_matrix:
         """Return the derivative of the residual among the free unknowns, from the matrix of `residual`."""
-        basis, velocity = self.space.velocity, x[: 2 * self.n].reshape(2, self.n)
-        slopes = [basis.interpolate(component).grad for component in velocity]
+        basis, velocity = self.space.velocity, self.velocity(x)
+        slopes = [basis.interpolate(component).grad for component in velocity.T]
         reaction = [[_reaction.assemble(basis, s=slope[c]) for c in range(2)] for slope in slopes]
         if self.open is not None:
-            back = self._outwards(x) < 0.0
-            for c, component in enumerate(velocity):
-                at = back * np.asarray(self.open.interpolate(component))
-                for d, normal in enumerate(self.open.normals):
-                    reaction[c][d] = reaction[c][d] + _returning.assemble(self.open, back=at * normal)
+            *at, through = map(np.asarray, self.open.field(velocity))
+            for c in range(2):
+                for d, normal in enumerate(self.open.basis.normals):
+                    turned = _returning.assemble(self.open.basis, back=(through < 0.0) * at[c] * normal)
+                    reaction[c][d] = reaction[c][d] + turned
         none = sp.csr_matrix((self.m, self.m))
         whole = matrix + sp.bmat([[*reaction[0], None], [*reaction[1], None], [None, None, none]], format="csr")
         return sp.csc_matrix(whole[self.free][:, self.free])
 
-    def _outwards(self, x: np.ndarray) -> np.ndarray:
-        """Return the velocity through the open ends, out of the fluid, at the points of their rule."""
-        u, v = (np.asarray(self.open.interpolate(component)) for component in x[: 2 * self.n].reshape(2, self.n))
-        return u * self.open.normals[0] + v * self.open.normals[1]
+    def velocity(self, x: np.ndarray) -> np.ndarray:
+        """Return the velocity (n, 2) of a flow."""
+        return x[: 2 * self.n].reshape(2, self.n).T
 
     def moved(self, x: np.ndarray, to: "_Equations") -> np.ndarray:
         """Return a flow on another mesh, with its boundary values there."""
         velocity, pressure = spaces.carrying(self.space, to.space)
-        u, p = velocity @ x[: 2 * self.n].reshape(2, self.n).T, pressure @ x[2 * self.n :]
+        u, p = velocity @ self.velocity(x), pressure @ x[2 * self.n :]
         there = to.boundary.copy()
         there[to.free] = np.concatenate([*u.T, p])[to.free]
         return there

@@ -18,6 +18,9 @@ from manywake.learn.ppo import EpisodicPPO
 from manywake.learn.runs import Run
 from manywake.machine import disk
 
+DAMAGE = (*disk.DAMAGE, RuntimeError, pickle.UnpicklingError)
+"""What reading a damaged checkpoint raises."""
+
 
 @dataclass
 class Progress:
@@ -70,10 +73,6 @@ def read(path: Path) -> Policy:
         raise ValueError(f"checkpoint: {path} is damaged ({error}); wanted a whole one") from error
 
 
-DAMAGE = (*disk.DAMAGE, RuntimeError, pickle.UnpicklingError)
-"""What reading a damaged checkpoint raises."""
-
-
 def _read(path: Path) -> tuple[Progress, dict[str, Any], dict[str, Any]]:
     """Return progress, weights and the optimiser's state of a checkpoint: tensors and plain data, no code."""
     with zipfile.ZipFile(path) as archive:
@@ -103,18 +102,12 @@ def newest(run: Run) -> tuple[str, Progress, dict[str, Any], dict[str, Any]]:
     raise ValueError(f"run: {run.folder} has no whole checkpoint ({'; '.join(problems)}); it must be trained anew")
 
 
-def drop_damaged(run: Run) -> None:
-    """Remove a damaged last.zip, which the next checkpoint would put in the place of the whole one before."""
-    if newest(run)[0] == "previous":
-        (run.checkpoints / "last.zip").unlink(missing_ok=True)
-
-
-def restore(run: Run, model: EpisodicPPO) -> Progress:
-    """Put the newest whole checkpoint into a model; return its progress."""
-    _, progress, weights, moments = newest(run)
+def restore(run: Run, model: EpisodicPPO) -> tuple[str, Progress]:
+    """Put the newest whole checkpoint into a model; return its name and progress."""
+    name, progress, weights, moments = newest(run)
     model.policy.load_state_dict(weights)
     model.policy.optimizer.load_state_dict(moments)
     model.version = progress.version
     model.num_timesteps = progress.version * model.learning.update_period * model.collector.simulation.horizon
     model._n_updates = progress.version * model.learning.n_epochs
-    return progress
+    return name, progress

@@ -21,8 +21,6 @@ from manywake.machine import disk
 
 FORMAT = 3
 """Of settings.json and checkpoints; version 0.1.0 wrote others, without a number."""
-
-
 RECORDED = ("manywake", "numba", "numpy", "stable-baselines3", "torch")
 """Packages whose versions a run records."""
 
@@ -53,11 +51,12 @@ class Run:
 
     def __init__(self, folder: Path):
         self.folder = folder
+        self.path = folder / "settings.json"
         self.checkpoints = folder / "checkpoints"
 
     def described(self) -> dict[str, Any]:
         """Return what settings.json says; ValueError when the folder is no run, one of another version, or damaged."""
-        path = self.folder / "settings.json"
+        path = self.path
         if not path.exists():
             wanted = "which has no settings.json; wanted a folder made by manywake train"
             raise ValueError(f"run: got {self.folder}, {wanted}")
@@ -73,8 +72,9 @@ class Run:
 
     @property
     def settings(self) -> Settings:
-        data, path = self.described(), self.folder / "settings.json"
-        learning, collection = (_from_plain(kind, data[kind.__name__.lower()], path) for kind in (Learning, Collection))
+        data = self.described()
+        learning = _from_plain(Learning, data["learning"], self.path)
+        collection = _from_plain(Collection, data["collection"], self.path)
         return Settings(learning, collection, data["seed"])
 
     @property
@@ -84,7 +84,7 @@ class Run:
 
     @property
     def layout(self) -> Layout:
-        return _from_plain(Layout, self.described()["layout"], self.folder / "settings.json")
+        return _from_plain(Layout, self.described()["layout"], self.path)
 
     def version_path(self, number: int) -> Path:
         """Return where the policy after `number` updates is kept, for episodes on their way and for replay."""
@@ -129,11 +129,10 @@ def versions() -> dict[str, str]:
 
 def changed(run: Run) -> str:
     """Return which versions are not those that the run was last played with; empty where all are."""
-    data, now = run.described(), versions()
+    data = run.described()
     before = data["later"][-1]["versions"] if data["later"] else data["versions"]
-    return ", ".join(
-        f"{name} {before.get(name, '?')} is {now[name]} now" for name in now if before.get(name) != now[name]
-    )
+    pairs = ((name, before.get(name, "?"), now) for name, now in versions().items())
+    return ", ".join(f"{name} {then} is {now} now" for name, then, now in pairs if then != now)
 
 
 def went_on(run: Run, update: int) -> None:
@@ -141,7 +140,7 @@ def went_on(run: Run, update: int) -> None:
     if changed(run):
         data = run.described()
         data["later"].append({"from_update": update, "versions": versions()})
-        write_json(run.folder / "settings.json", data)
+        write_json(run.path, data)
 
 
 @contextmanager

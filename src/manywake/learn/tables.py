@@ -58,9 +58,10 @@ def check(path: Path, updates: int, rows: int) -> None:
     A table that is not there, or has no whole row, lacks none: it is begun anew, and from then on counts from its first
     update.
     """
-    kept = _of_the_first(read(path), updates)
-    if not read(path):
+    table = read(path)
+    if not table:
         return
+    kept = _of_the_first(table, updates)
     first = min((int(row["update"]) for row in kept), default=0)
     if len(kept) != (updates - first) * rows:
         raise ValueError(

@@ -142,13 +142,14 @@ def resume(
         planned = plan(settings, grid, simulation.horizon)
         collector = _collector(settings, simulation, engine, grid, planned)
         model = ppo.build(settings.learning, collector)
-        progress = checkpoints.restore(run, model)
+        name, progress = checkpoints.restore(run, model)
         rows = {"episodes.csv": settings.learning.update_period, "updates.csv": 1}
-        for name, count in rows.items():
-            tables.check(folder / name, progress.version, count)
-        checkpoints.drop_damaged(run)
-        for name in rows:
-            tables.cut(folder / name, progress.version)
+        for table, count in rows.items():
+            tables.check(folder / table, progress.version, count)
+        if name == "previous":  # a damaged last would be put in the place of the whole one by the next checkpoint
+            (run.checkpoints / "last.zip").unlink(missing_ok=True)
+        for table in rows:
+            tables.cut(folder / table, progress.version)
         tables.cut(folder / "failures.csv")
         runs.went_on(run, progress.version)
         collector.resume(progress.version, progress.pending, run.version)
