@@ -1,4 +1,6 @@
 PYTHON ?= python3
+# a test that hangs ends the run, and its stack is shown
+PATIENCE := -o faulthandler_timeout=900 -o faulthandler_exit_on_timeout=true
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
@@ -20,10 +22,10 @@ figures: setup
 	$(BIN)/manywake figure all
 
 test: setup lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(PATIENCE)
 
 test-all: setup lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(PATIENCE)
 	$(BIN)/python -m pytest tests/slow
 
 lint: setup

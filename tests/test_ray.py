@@ -41,14 +41,16 @@ def digest(toy=Toy(horizon=HORIZON), **changes) -> str:  # noqa: B008
 
 @pytest.fixture(scope="module")
 def cluster():
-    """Three nodes on this machine: the head, without cores, and two with two cores each."""
-    made = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
-    nodes = [made.add_node(num_cpus=2) for _ in range(2)]
-    made.wait_for_nodes()
-    engine = Ray(8, address=made.address)
-    yield made, nodes, engine
-    engine.close()
-    made.shutdown()
+    """Three nodes on this machine: the head, without cores, and two with two cores each, whatever the home holds."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_AUTH_MODE", "disabled")
+        made = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+        nodes = [made.add_node(num_cpus=2) for _ in range(2)]
+        made.wait_for_nodes()
+        engine = Ray(8, address=made.address)
+        yield made, nodes, engine
+        engine.close()
+        made.shutdown()
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +121,7 @@ def test_a_node_that_vanishes_in_mid_training_costs_no_bit(cluster, tmp_path):
         made.remove_node(nodes[0], allow_graceful=False)
         (tmp_path / "open").touch()
 
-    remover = threading.Thread(target=remove)
+    remover = threading.Thread(target=remove, daemon=True)
     remover.start()
     found = digest(toy, engine=engine, grid=Layout(12, 4, 2), plan=plan, failed=lost.append)
     remover.join()

@@ -50,6 +50,10 @@ class Ray:
             except (ConnectionError, ValueError) as error:
                 got = f"address: got {address!r}, where no Ray cluster answers ({error})"
                 raise RuntimeError(f"{got}; start one with: ray start --head, or leave --address out") from error
+            if _mode() != ray.get(ray.remote(_mode).options(num_cpus=0).remote()):  # else what is shared gets lost
+                ray.shutdown()
+                got = f"address: got {address!r}, a cluster that was started without the token of this home"
+                raise RuntimeError(f"{got}; go without it: RAY_AUTH_MODE=disabled manywake ...")
         if before is not None:
             signal.signal(signal.SIGTERM, before)
         # no retries: a lost episode is made again by the collector, who counts it
@@ -87,6 +91,13 @@ class Ray:
     def close(self) -> None:
         if self._mine:
             self._ray.shutdown()
+
+
+def _mode() -> int:
+    """Return whether this process of Ray demands a token and sends one."""
+    from ray._private.authentication.authentication_token_setup import get_authentication_mode
+
+    return int(get_authentication_mode())
 
 
 def _within(timeout: float | None, fn, *args: Any) -> Any:
