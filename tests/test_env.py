@@ -421,7 +421,6 @@ def test_actions_of_the_wrong_shape_are_refused(shape):
     [
         ({"case": "sphere"}, "case: got 'sphere', wanted one of channel, cylinder-jets"),
         ({"task": "easy"}, "protocol: got 'easy', wanted one of default, paper, code"),
-        ({"smoothing": 0.1}, r"got the setting 'smoothing', wanted one of .*law\.alpha"),
         ({"reward": "money"}, "reward: got 'money', wanted one of reduction, paper"),
         ({"law": "pid"}, "law: got 'pid', wanted one of linear, held, exponential"),
         ({"observe": ("vorticity",)}, "observe: got 'vorticity', wanted some of pressure, velocity"),
@@ -442,6 +441,30 @@ def test_actions_of_the_wrong_shape_are_refused(shape):
 def test_bad_settings_are_refused(make, settings, message):
     with pytest.raises(ValueError, match=message):
         make(**settings)
+
+
+@pytest.mark.parametrize("make", [FlowEnv, FlowVectorEnv])
+def test_a_keyword_that_is_no_setting_is_a_type_error_as_of_any_python_function(make):
+    with pytest.raises(TypeError, match=r"got an unexpected keyword argument 'smoothing', wanted one of .*law\.alpha"):
+        make(smoothing=0.1)
+
+
+def test_a_step_before_the_first_reset_or_after_the_end_is_refused():
+    batch = vector(2)
+    with pytest.raises(ValueError, match=r"step: got actions before the first reset\(\)"):
+        batch.step(np.zeros((2, 1)))
+    batch.reset(seed=0)
+    batch.close()
+    with pytest.raises(ValueError, match=r"step: got actions after close\(\)"):
+        batch.step(np.zeros((2, 1)))
+
+
+def test_max_episode_steps_is_the_length_of_an_episode():
+    batch = gymnasium.make_vec("manywake/CylinderJets-v0", num_envs=2, max_episode_steps=3)
+    assert batch.unwrapped.task.actions == 3
+    single = gymnasium.make("manywake/CylinderJets-v0", max_episode_steps=3)
+    single.reset(seed=0)
+    assert [single.step(np.zeros(1))[3] for _ in range(3)] == [False, False, True]
 
 
 def test_a_reset_mask_of_the_wrong_length_is_refused():

@@ -10,6 +10,8 @@ from manywake.env.control import ControlledFlows
 from manywake.flow import baseline, problem, readings, store
 from manywake.flow import batch as batches
 from manywake.flow.batch import FlowBatch
+from manywake.learn import evaluate
+from manywake.learn.evaluate import Trajectory
 from manywake.suite.step import CASE, NOISE, TASK, calmed
 
 NAMES = ("power", "gauge", "energy")
@@ -100,9 +102,10 @@ def test_the_step_has_an_id_and_its_readings_stand_in_the_info():
 def test_pictures_of_a_flow_without_bodies_show_what_it_measures(flow, tmp_path):
     batch, amplitudes = FlowBatch(flow.operators, flow.baseline.start, 1), np.zeros((20, 1, 1))
     record = batches.recorded(batch, amplitudes, lambda what, share: None, "")
-    series = {name: part[:, 0] for name, part in record.items()}
-    plots.wake(flow, batch.state(0), series, amplitudes[:, :, 0], tmp_path / "wake.png")
-    numbers = {f"{name}_second_half": np.arange(4.0) for name in series}
+    whole = Trajectory(record, amplitudes, np.zeros((1, 1)), [])
+    table, u = evaluate.record(flow.case, plots.shown(flow.baseline), whole, record), batch.state(0).u
+    plots.wake(flow, u, u, table, "", tmp_path / "wake.png")
+    numbers = {f"{name}_second_half": np.arange(4.0) for name in record}
     episodes = numbers | {"update": np.zeros(4), "episode": np.arange(4), "wall_s": np.arange(4.0)}
-    plots.learning_curve(episodes, flow.baseline, tmp_path / "curve.png")
+    plots.learning_curve(episodes, flow.baseline, "", tmp_path / "curve.png")
     assert (tmp_path / "wake.png").exists() and (tmp_path / "curve.png").exists()

@@ -1,120 +1,255 @@
-"""Every picture: learning curve of a run, wake uncontrolled against controlled with drag and lift beneath."""
+"""Every picture: the wake with its series; learning curves of one run, of several, and of one under way."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
 matplotlib.use("Agg")
 
-import matplotlib.pyplot as plt
 import numpy as np
 import scipy.sparse as sp
 import skfem
-from matplotlib.tri import Triangulation
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+from matplotlib.tri import CubicTriInterpolator, Triangulation
 from scipy.sparse.linalg import spsolve
 
 from manywake.case.case import Case
-from manywake.case.geometry import outline
-from manywake.flow import spinup
+from manywake.case.geometry import Circle, outline
 from manywake.flow.baseline import Baseline
-from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.space import Space
 from manywake.flow.store import Flow
+from manywake.machine import disk
 
-UNCONTROLLED, CONTROLLED, REFERENCE, AMPLITUDE = "#c44e52", "#2f6c9f", "#555555", "#7a9a4b"
+UNCONTROLLED, CONTROLLED, REFERENCE = "#d55e00", "#0072b2", "#555555"
+COLOURS = "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000"
+"""Of the inputs. All colours are those of Okabe and Ito, which colour-blind readers can tell apart."""
+GROUPS = CONTROLLED, UNCONTROLLED, *COLOURS
+"""Of groups of runs; past these they are shades from dark to light."""
+STEADY: dict[str, Any] = {"color": REFERENCE, "lw": 1.0, "ls": "--", "label": "steady flow"}
+"""A dashed line is the steady flow, in every picture."""
+FREE: dict[str, Any] = {"color": UNCONTROLLED, "lw": 1.0, "label": "uncontrolled, mean"}
+LABELS = {"c_d": "$C_D$", "c_l": "$C_L$"}
+SMOOTHING = 0.05
+"""Vorticity is smoothed over the root of this, in sizes of the triangles: a fifth, which hides them, and no more."""
+BEHIND = 15.5
+"""How far behind the last body the wake is drawn, in L."""
+PIXELS = 560
+"""Of a field, from left to right: about as many as its panel has."""
+SETTLED = 0.125
+"""Share of a run after which its start does not decide the range of an axis."""
 
-plt.rcParams.update(
+matplotlib.rcParams.update(
     {"figure.dpi": 110, "font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
 )
 
 
-def _shown(base: Baseline) -> tuple[tuple[str, str], tuple[str, str]]:
-    """Return the two readings that are drawn, with labels: drag and lift, or what else the case measures."""
+def shown(base: Baseline) -> tuple[str, ...]:
+    """Return the readings that are drawn: drag and lift, or at most two of what else the case measures."""
     if "c_d" in base.free:
-        return ("c_d", "$C_D$"), ("c_l", "$C_L$")
-    first, *others = [name for name in base.steady if name != "power"][::-1] or ["power"]
-    second = others[0] if others else first
-    return (first, first), (second, second)
+        return "c_d", "c_l"
+    return tuple([name for name in base.steady if name != "power"][::-1][:2]) or ("power",)
 
 
-def learning_curve(episodes: dict[str, np.ndarray], base: Baseline, path: Path) -> None:
-    """Draw two readings of the exploring episodes against episodes and wall time; `episodes` as in episodes.csv."""
-    figure, axes = plt.subplots(2, 2, figsize=(10, 5.6), sharey="row")
-    batch = [episodes["update"] == update for update in np.unique(episodes["update"])]
+def _save(figure: Figure, path: Path) -> None:
+    disk.write(path, lambda file: figure.savefig(file, format="png"))
+
+
+def _figure(width: float, height: float, title: str) -> Figure:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    return figure
+
+
+def update_means(table: dict[str, np.ndarray], name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return how many episodes there were after each update, and the mean of a column over those of the update.
+
+    table: columns of episodes.csv. The mean is NaN where no episode of an update has a number.
+    """
+    batches = [table["update"] == update for update in np.unique(table["update"])]
+    values = [table[name][rows] for rows in batches]
+    means = [np.mean(part[np.isfinite(part)]) if np.isfinite(part).any() else np.nan for part in values]
+    return np.array([table["episode"][rows].max() + 1 for rows in batches]), np.array(means)
+
+
+def learning_curve(episodes: dict[str, np.ndarray], base: Baseline, title: str, path: Path) -> None:
+    """Draw the readings of the exploring episodes against episodes and wall time; `episodes` as in episodes.csv."""
+    names = shown(base)
+    figure = _figure(10, 0.9 + 2.6 * len(names), f"{title}: exploring policy")
+    axes = figure.subplots(len(names), 2, sharey="row", squeeze=False)
+    ends = [np.flatnonzero(episodes["update"] == update)[-1] for update in np.unique(episodes["update"])]
     along = (episodes["episode"] + 1, "episodes"), (episodes["wall_s"] / 60, "wall time [min]")
     for column, (x, label) in enumerate(along):
-        for row, (name, title) in enumerate(_shown(base)):
-            axis, half = axes[row, column], episodes[f"{name}_second_half"]
-            axis.plot(x, half, ".", color=CONTROLLED, alpha=0.25, markersize=4, label="an episode")
-            means = [np.nanmean(half[rows]) for rows in batch]
-            axis.plot([x[rows].max() for rows in batch], means, color=CONTROLLED, lw=2, label="mean of an update")
-            axis.set(xlabel=label, ylabel=f"{title}, 2nd half of episode")
+        for row, name in enumerate(names):
+            axis, half = axes[row, column], f"{name}_second_half"
+            axis.plot(x, episodes[half], ".", color=CONTROLLED, alpha=0.3, markersize=5, mew=0, label="an episode")
+            axis.plot(x[ends], update_means(episodes, half)[1], color=CONTROLLED, lw=2, label="mean of an update")
+            axis.axhline(base.free[name], **FREE)
+            axis.axhline(base.steady[name], **STEADY)
+            axis.set(xlabel=label if row == len(names) - 1 else "")
             axis.grid(alpha=0.25)
-        first = _shown(base)[0][0]
-        axes[0, column].axhline(base.free[first], color=UNCONTROLLED, lw=1, label="uncontrolled mean")
-        axes[0, column].axhline(base.steady[first], color=REFERENCE, lw=1, ls="--", label="steady base flow")
-        axes[1, column].axhline(0.0, color=REFERENCE, lw=1, ls="--")
-    axes[0, 1].legend(loc="upper right", fontsize=9, frameon=True, framealpha=1.0, edgecolor="none")
-    figure.suptitle("Learning curve (exploring policy)", x=0.01, ha="left")
-    figure.tight_layout()
-    figure.savefig(path)
-    plt.close(figure)
+            if not column:
+                axis.set_ylabel(f"{LABELS.get(name, name)}, 2nd half of episode")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), ncols=4, loc="outside lower center", fontsize=9)
+    figure.align_ylabels(axes)
+    _save(figure, path)
 
 
-def vorticity(space: Space, u: np.ndarray) -> np.ndarray:
-    """Return the vorticity dv/dx - du/dy at the mesh's vertices (m,), projected onto P1; u: (n, 2)."""
-    ux, vx = (space.velocity.interpolate(u[:, c]) for c in range(2))
-    load = skfem.LinearForm(lambda q, w: (w.v.grad[0] - w.u.grad[1]) * q).assemble(space.pressure, u=ux, v=vx)
-    mass = skfem.BilinearForm(lambda p, q, w: p * q).assemble(space.pressure)
-    return spsolve(sp.csc_matrix(mass), load)
+def vorticity(space: Space, u: np.ndarray, smoothing: float = SMOOTHING) -> np.ndarray:
+    """Return the vorticity dv/dx - du/dy at the velocity's nodes (n,), projected onto P2; u: (n, 2).
+
+    smoothing: a share s of the triangles' size h squared, of (w, q) + s (h^2 grad w, grad q) = (curl u, q).
+    """
+    basis = space.velocity
+    ux, vx = (basis.interpolate(u[:, c]) for c in range(2))
+    load = skfem.LinearForm(lambda q, w: (w.v.grad[0] - w.u.grad[1]) * q).assemble(basis, u=ux, v=vx)
+    mass = skfem.BilinearForm(lambda p, q, w: p * q + smoothing * w.h**2 * skfem.helpers.dot(p.grad, q.grad))
+    return spsolve(sp.csc_matrix(mass.assemble(basis)), load)
 
 
-def _draw_vorticity(axis, case: Case, space: Space, u: np.ndarray):
-    points, values = space.mesh.points, vorticity(space, u) * case.convective_time
-    mesh = Triangulation(points[:, 0], points[:, 1], space.mesh.triangles)
-    picture = axis.tripcolor(mesh, values, shading="gouraud", cmap="RdBu_r", vmin=-3, vmax=3, rasterized=True)
-    for body in case.bodies:
-        axis.add_patch(plt.Polygon(outline(body), color="#888888", lw=0))
-    (left, low), (right, high) = points.min(axis=0), points.max(axis=0)
+def raster(space: Space, values: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ma.MaskedArray:
+    """Return values at the velocity's nodes (n,) on a grid, (y, x), with smooth slopes; masked outside the fluid."""
+    a, b, c, ab, bc, ca = space.nodes.T
+    quarters = np.concatenate(
+        [np.stack(part, axis=1) for part in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+    )
+    mesh = Triangulation(space.x[:, 0], space.x[:, 1], quarters)
+    return CubicTriInterpolator(mesh, values, kind="geom")(*np.meshgrid(x, y))
+
+
+def _window(case: Case, space: Space) -> tuple[float, float, float, float]:
+    """Return the ends in x and y of what is drawn, in the case's unit."""
+    (left, low), (right, high) = space.mesh.points.min(axis=0), space.mesh.points.max(axis=0)
     back = max((outline(body)[:, 0].max() for body in case.bodies), default=left)
-    axis.set(xlim=(left, min(right, back + 15.5 * case.scales.length)), ylim=(low, high), xlabel="x", aspect="equal")
+    return left, min(right, back + BEHIND * case.scales.length), low, high
+
+
+def _draw_vorticity(axis: Axes, case: Case, space: Space, u: np.ndarray):
+    left, right, low, high = _window(case, space)
+    x = np.linspace(left, right, PIXELS)
+    y = np.linspace(low, high, max(round(PIXELS * (high - low) / (right - left)), 2))
+    values, length = raster(space, vorticity(space, u) * case.convective_time, x, y), case.scales.length
+    ends = left / length, right / length, low / length, high / length
+    picture = axis.imshow(values, "RdBu_r", vmin=-3, vmax=3, extent=ends, interpolation="bilinear", origin="lower")
+    for body in case.bodies:
+        axis.add_patch(Polygon(outline(body) / length, color="#888888", lw=0))
+    unit = "D" if any(isinstance(b, Circle) and np.isclose(2 * b.radius, length) for b in case.bodies) else "L"
+    axis.set(xlabel=f"x/{unit}", ylabel=f"y/{unit}", xlim=ends[:2], ylim=ends[2:])
     return picture
 
 
-def wake(flow: Flow, end: Start, series: dict[str, np.ndarray], amplitudes: np.ndarray, path: Path) -> None:
-    """Draw the flow uncontrolled and controlled, two readings and an amplitude over a long run from the start state.
+def wake(
+    flow: Flow, uncontrolled: np.ndarray, controlled: np.ndarray, record: dict[str, np.ndarray], title: str, path: Path
+) -> None:
+    """Draw the flow without and with control at one time, and the series that led there.
 
-    end: the controlled flow at the end of the run. series: its readings (steps,). amplitudes: (steps, inputs).
+    uncontrolled, controlled: velocities (n, 2) at the end of the record. record: columns of wake.csv.
     """
     case, base, space = flow.case, flow.baseline, flow.operators.space
-    uncontrolled = spinup.free_run(FlowBatch(flow.operators, base.start, 1), len(amplitudes))
-    time = (np.arange(len(amplitudes)) + 1) * case.dt
-    free = {name: uncontrolled[name][:, 0] for name, _ in _shown(base)}
-    time = time / case.convective_time
-    figure = plt.figure(figsize=(11, 6.6))
-    grid = figure.add_gridspec(3, 2, height_ratios=(1.05, 1, 1), hspace=0.55, wspace=0.18)
-    pictures = ("uncontrolled", UNCONTROLLED, base.start.u), ("controlled", CONTROLLED, end.u)
-    for column, (name, color, u) in enumerate(pictures):
-        axis = figure.add_subplot(grid[0, column], ylabel="" if column else "y")
+    left, right, low, high = _window(case, space)
+    field, names, time = float(np.clip(4.6 * (high - low) / (right - left), 0.5, 2.8)), shown(base), record["time"]
+    heights = [field + 0.6, *[1.5] * len(names), 1.2]
+    figure = _figure(11, sum(heights) + 1.2, f"{title}, {time[-1]:.4g} L/U after control began")
+    grid = figure.add_gridspec(2, 1, height_ratios=[field + 0.9, sum(heights[1:])])
+    above, below = (figure.add_subfigure(part) for part in (grid[0], grid[1]))
+    fields = above.subplots(1, 2, sharey=True)
+    pictures = ("uncontrolled", UNCONTROLLED, uncontrolled), ("controlled", CONTROLLED, controlled)
+    for axis, (name, color, u) in zip(fields, pictures, strict=True):
         picture = _draw_vorticity(axis, case, space, u)
-        axis.set_title(name, loc="left", color=color)
-    figure.colorbar(picture, ax=figure.axes, shrink=0.75, pad=0.015, label="vorticity [U/L]", extend="both")
-    drag, lift = figure.add_subplot(grid[1, :]), figure.add_subplot(grid[2, :])
-    for axis, (name, label) in zip((drag, lift), _shown(base), strict=True):
-        axis.plot(time, free[name], color=UNCONTROLLED, lw=0.8, alpha=0.7, label="uncontrolled")
-        axis.plot(time, series[name], color=CONTROLLED, lw=1.2, label="controlled")
-        axis.set(xlim=(0, time[-1]), ylabel=label)
+        axis.set_title(name, loc="left", color=color, fontsize=10)
+    fields[1].set_ylabel("")
+    beside = fields[1].inset_axes((1.02, 0, 0.02, 1))
+    above.colorbar(picture, cax=beside, label="vorticity [U/L]", extend="both", extendfrac=0.08)
+    axes = below.subplots(len(names) + 1, 1, sharex=True, height_ratios=heights[1:])
+    for axis, name in zip(axes, names, strict=False):
+        free, series = record[f"{name}_uncontrolled"], record[name]
+        axis.plot(time, free, color=UNCONTROLLED, lw=0.8, label="uncontrolled")
+        axis.plot(time, series, color=CONTROLLED, lw=1.2, label="controlled")
+        axis.axhline(base.steady[name], **STEADY)
+        axis.set_ylabel(LABELS.get(name, name))
+        _limit(axis, series, [*free, base.steady[name]])
+    driven = {actuator.on: record[f"amplitude.{actuator.on}"] / actuator.limit for actuator in case.actuators}
+    for k, (name, series) in enumerate(driven.items()):
+        axes[-1].plot(time, series, color=COLOURS[k % len(COLOURS)], lw=1.0, label=name)
+    most = 1.1 * max((float(np.nanmax(abs(series))) for series in driven.values()), default=0.0) or 1.0
+    axes[-1].set(xlabel="time [L/U]", ylabel="amplitude / limit", ylim=(-most, most), xlim=(0, time[-1]))
+    for axis in axes:
         axis.grid(alpha=0.25)
-    first, _ = _shown(base)[0]
-    drag.axhline(base.steady[first], color=REFERENCE, lw=1, ls="--", label="steady base flow")
-    low, high = min(base.steady[first], np.nanmin(series[first])), max(free[first].max(), np.nanmax(series[first]))
-    drag.set(ylim=(low - 0.03, high + 0.12), xticklabels=[])
-    drag.legend(ncols=3, loc="upper right", fontsize=9)
-    lift.set_xlabel("time [L/U]")
-    driven, right = case.actuators[0], lift.twinx()
-    right.plot(time, amplitudes[:, 0] / driven.limit, color=AMPLITUDE, lw=0.8)
-    right.set_ylim(-1.05, 1.05)
-    right.set_ylabel(f"{driven.on} / limit", color=AMPLITUDE)
-    right.spines["right"].set_visible(True)
-    figure.savefig(path, bbox_inches="tight")
-    plt.close(figure)
+    for axis in (axes[0], axes[-1]):
+        axis.legend(ncols=5, loc="lower right", bbox_to_anchor=(1.0, 0.98), fontsize=9, borderpad=0.1)
+    below.align_ylabels(axes)
+    _save(figure, path)
+
+
+def _limit(axis: Axes, series: np.ndarray, others: Sequence[float]) -> None:
+    """Let an axis span other numbers, and a series once it has settled; say how far its start goes beyond.
+
+    A start that would take no more than half of the axis again is shown whole.
+    """
+    finite = series[np.isfinite(series)]
+    whole, late = (np.array([*part, *others]) for part in (finite, finite[int(SETTLED * len(series)) :]))
+    cut = np.ptp(whole) > 1.5 * np.ptp(late)
+    low, high = (late if cut else whole).min(), (late if cut else whole).max()
+    room = 0.1 * (high - low) or 0.1
+    axis.set_ylim(low - room, high + room)
+    if cut:
+        beyond = f"at first from {finite.min():.2f} to {finite.max():.2f}"
+        axis.set_title(beyond, loc="left", fontsize=8, color=CONTROLLED, pad=2)
+
+
+def compare(
+    groups: Sequence[tuple[str, Sequence[tuple[np.ndarray, np.ndarray]]]],
+    label: str,
+    references: dict[str, float],
+    path: Path,
+) -> None:
+    """Draw learning curves of groups of runs: one colour a group, a thin line a seed, the mean of the seeds thick.
+
+    groups: names and the curves (episodes, values). references: values of the uncontrolled and of the steady flow.
+    """
+    figure = _figure(8, 4.6, "Learning curves of exploring policies: a thin line a seed, their mean thick")
+    axis = figure.subplots()
+    shades = [matplotlib.colormaps["viridis"](share) for share in np.linspace(0, 0.9, len(groups))]
+    for color, (name, curves) in zip(GROUPS if len(groups) <= len(GROUPS) else shades, groups, strict=False):
+        for x, y in curves:
+            axis.plot(x, y, color=color, lw=0.7, alpha=0.6)
+        if whole := [curve for curve in curves if len(curve[0])]:
+            shortest = min(len(x) for x, _ in whole)
+            x, y = (np.mean([part[:shortest] for part in parts], axis=0) for parts in zip(*whole, strict=True))
+            axis.plot(x, y, color=color, lw=2.4, label=f"{name} ({len(curves)} seed{'s' * (len(curves) > 1)})")
+    for style in (FREE, STEADY):
+        if (value := references.get(style["label"])) is not None:
+            axis.axhline(value, **{**style, "color": REFERENCE})
+    axis.set(xlabel="episodes", ylabel=label)
+    axis.grid(alpha=0.25)
+    longest = max((len(name) for name, _ in groups), default=0)
+    figure.legend(loc="outside lower center", ncols=int(np.clip(100 // (longest + 15), 1, 3)), fontsize=9)
+    _save(figure, path)
+
+
+def watch(table: dict[str, np.ndarray], newest: dict[str, np.ndarray], title: str, path: Path) -> None:
+    """Draw a training under way: its learning curve on the left, the newest whole episode's series on the right.
+
+    table: columns of episodes.csv, none before the first update. newest: at most two series, one number an action.
+    """
+    figure = _figure(8, 3.6, title)
+    grid = figure.add_gridspec(1, 2)
+    left, right = (figure.add_subfigure(part) for part in (grid[0], grid[1]))
+    curve, name = left.subplots(), next(iter(newest))
+    column = f"{name}_second_half" if f"{name}_second_half" in table else name
+    if column in table:
+        curve.plot(table["episode"] + 1, table[column], ".", color=CONTROLLED, alpha=0.3, markersize=5, mew=0)
+        curve.plot(*update_means(table, column), color=CONTROLLED, lw=2)
+    what = "2nd half of episode" if column != name else "sum over an episode" if name == "reward" else "mean"
+    curve.set(xlabel="episodes", ylabel=f"{LABELS.get(name, name)}, {what}")
+    axes = right.subplots(len(newest), 1, sharex=True, squeeze=False)[:, 0]
+    for axis, (series, values) in zip(axes, newest.items(), strict=True):
+        axis.plot(np.arange(len(values)) + 1, values, color=CONTROLLED, lw=1.2)
+        axis.set_ylabel(LABELS.get(series, series))
+    axes[-1].set_xlabel("action of the newest whole episode")
+    for axis in (curve, *axes):
+        axis.grid(alpha=0.25)
+    _save(figure, path)

@@ -9,6 +9,8 @@ from typing import Any, Union
 import tyro
 
 from manywake.cli import show
+from manywake.cli.comparing import Compare
+from manywake.cli.exports import Export, ExportCase, ExportPolicy, Movie, MovieCase
 from manywake.cli.flow import Baseline, Validate, command, first
 from manywake.cli.runs import Evaluate, EvaluateController, GivenLearning, Replay, Resume, Search, Train
 from manywake.suite import load
@@ -39,8 +41,11 @@ def _hand_over(command: str, words: list[str]) -> None:
 
 
 def _of_no_run(words: list[str]) -> bool:
-    """Return whether the words evaluate a controller that comes from no run."""
-    return words[:1] == ["evaluate"] and any(w.partition("=")[0] in ("--controller", "--pretrained") for w in words)
+    """Return whether the words play a controller that comes from no run."""
+    named = {word.partition("=")[0] for word in words}
+    if words[:1] in (["export"], ["movie"]) and "--case" in named and words[1].startswith("-"):
+        return True  # a run, which may want its case file, stands first
+    return words[:1] in (["evaluate"], ["export"], ["movie"]) and not named.isdisjoint(("--controller", "--pretrained"))
 
 
 def _commands(words: list[str]) -> Any:
@@ -51,16 +56,18 @@ def _commands(words: list[str]) -> Any:
     commands: tuple[Any, ...] = (
         command(Validate, definition, case=asked.case),
         command(Baseline, definition, case=asked.case),
-        *(Resume, Replay, Figure, Bench),
+        *(Resume, Replay, Compare, ExportPolicy, Figure, Bench),
     )
     if not _of_no_run(words):
-        commands = (*commands, Evaluate)
+        commands = (*commands, Evaluate, Export, Movie)
     if asked.protocol in definition.protocols or plays:  # a flow without a task has nothing to learn or to play
         learning = definition.protocol(asked.protocol)[1]
         commands = (command(Train, definition, **vars(asked), learning=GivenLearning(**vars(learning))), *commands)
         commands += (command(Search, definition, **vars(asked)),)
     if _of_no_run(words):
         commands += (command(EvaluateController, definition, "evaluate", **vars(asked)),)
+        commands += (command(ExportCase, definition, "export", **vars(asked)),)
+        commands += (command(MovieCase, definition, "movie", **vars(asked)),)
     return Union[commands]  # noqa: UP007
 
 

@@ -5,7 +5,7 @@ import json
 import os
 import shlex
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -22,6 +22,9 @@ from manywake.learn.engine import Threads
 from manywake.learn.rollout import Simulation
 from manywake.learn.runs import Run, write_json
 from manywake.learn.settings import Collection, Settings
+from manywake.learn.watch import NAME, Watch
+
+Watching = Annotated[bool, tyro.conf.arg(help=f"Keep {NAME} in the run folder up to date while it trains.")]
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,7 @@ class Train(OnCase):
     """Seed of the run: of the first weights, the exploration and the minibatches."""
     run_folder: Annotated[Path | None, tyro.conf.arg(name="run", metavar="DIR")] = None
     """Run folder; default runs/<case>-s<seed>-<date>."""
+    watch: Watching = False
 
     def run(self) -> int:
         learning, how = Learning(**vars(self.learning)), Collection(**vars(self.collection))
@@ -70,9 +74,7 @@ class Train(OnCase):
         say(f"{api.layout(how, learning.update_period)}; {how.engine}; {how.schedule}, {how.clock} clock")
         say(f"run folder {folder}")
         opened = api.OpenRun(Run(folder), simulation)
-        return _watched(
-            lambda shown: api.train_into(folder, simulation, settings, shown), opened, learning, 0, self.json
-        )
+        return _trained(lambda shown: api.train_into(folder, simulation, settings, shown), opened, learning, 0, self)
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,7 @@ class Resume(OnRun):
     """Environments that a worker advances side by side."""
     time_limit: float | None = None
     """Seconds that a block may take until its worker is replaced."""
+    watch: Watching = False
 
     def run(self) -> int:
         from manywake.learn import checkpoints
@@ -119,7 +122,7 @@ class Resume(OnRun):
         names = ("engine", "address", "workers", "lanes", "time_limit")
         where = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         done = checkpoints.newest(opened.run)[1].version * learning.update_period
-        return _watched(lambda shown: api.resume(opened, shown, **where), opened, learning, done, self.json)
+        return _trained(lambda shown: api.resume(opened, shown, **where), opened, learning, done, self)
 
 
 @dataclass(frozen=True)
@@ -217,17 +220,24 @@ class Replay(OnRun):
         return 1 if result.same is False else 0
 
 
-def _watched(work: Callable[..., Any], opened: api.OpenRun, learning: Learning, done: int, as_json: bool) -> int:
-    """Run a training with a progress bar, then evaluate it; work(show) trains."""
+def _trained(
+    work: Callable[..., Any], opened: api.OpenRun, learning: Learning, done: int, asked: Train | Resume
+) -> int:
+    """Run a training with a progress bar, and a picture where one is asked for, then evaluate it; work(show) trains."""
     folder = opened.folder
-    with Episodes(learning.episodes, done) as bar:
+    with ExitStack() as stack:
+        bar = stack.enter_context(Episodes(learning.episodes, done))
+        watch = stack.enter_context(Watch(folder, learning.episodes)) if asked.watch else None
+        shows = [bar.show] if watch is None else [bar.show, watch.show]
         try:
-            trained = work(bar.show)
+            trained = work(lambda *block: [show(*block) for show in shows])
         except KeyboardInterrupt:
             bar.stop()
             kept = f"stopped; what was learnt is kept, go on with: manywake resume {folder}"
             say(kept if (folder / "settings.json").exists() else "stopped before there was anything to keep")
             return 130
+    if watch is not None and watch.problem is not None:
+        say(f"{folder / NAME} could not be drawn: {watch.problem}")
     numbers = dataclasses.asdict(trained)
     write_json(folder / "training.json", numbers)
     if isinstance(opened.simulation, flows.Flows) and opened.simulation.chosen.case.bodies:
@@ -235,7 +245,9 @@ def _watched(work: Callable[..., Any], opened: api.OpenRun, learning: Learning, 
         write_json(folder / "training.json", numbers)
     if trained.failures:
         say(f"{trained.failures} blocks of episodes were lost and played again: {folder / 'failures.csv'}")
-    _evaluated(opened, "last", 2, as_json, numbers)
+    _evaluated(opened, "last", 2, asked.json, numbers)
+    if spent := bar.spent():
+        say(f"time went to: {spent}")
     say(f"trained in {trained.wall_time_s / 60:.1f} min; policy {trained.policy_sha256[:16]}; see {folder}")
     return 0
 

@@ -12,6 +12,9 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from manywake.learn.rollout import Episode
+from manywake.learn.rows import Shares
+
 console = Console(stderr=True)
 
 Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object as the last line.")]
@@ -33,22 +36,26 @@ class Bar(Progress):
 
 
 class Episodes(Progress):
-    """A bar of a training's episodes, with where the time goes and how the newest episodes were."""
+    """A bar of a training's episodes, in 80 columns: how many, how long still, how the newest were, how many lost."""
 
-    def __init__(self, total: int, done: int):
-        fields = "{task.fields[shares]}", "{task.fields[numbers]}"
-        times = TimeElapsedColumn(), TimeRemainingColumn()
-        super().__init__("{task.description}", BarColumn(), MofNCompleteColumn(), *fields, *times, console=console)
-        self.bar = self.add_task("episodes", total=total, completed=done, shares="", numbers="")
+    def __init__(self, total: int, done: int, on: Console = console):
+        columns = BarColumn(20), MofNCompleteColumn(), TimeRemainingColumn(), "left", "{task.fields[numbers]}"
+        super().__init__(*columns, console=on)
+        self.shares = Shares()
+        self.bar = self.add_task("episodes", total=total, completed=done, numbers="")
 
-    def show(self, episodes, shares, failures: int) -> None:
+    def show(self, episodes: list[Episode], shares: Shares, failures: int) -> None:
         """Take a block of episodes; as `train.Show`."""
-        spent, total = vars(shares), sum(vars(shares).values())
-        times = " ".join(f"{name} {value / total:.0%}" for name, value in spent.items() if value > total / 200)
-        self.update(self.bar, advance=len(episodes), numbers=_numbers(episodes, failures), shares=times)
+        self.shares = shares
+        self.update(self.bar, advance=len(episodes), numbers=_numbers(episodes, failures))
+
+    def spent(self) -> str:
+        """Return where the time of the slots and of the learner went; nothing before the first update."""
+        parts, total = vars(self.shares), sum(vars(self.shares).values())
+        return ", ".join(f"{name} {value / total:.0%}" for name, value in parts.items() if value > total / 200)
 
 
-def _numbers(episodes, failures: int) -> str:
+def _numbers(episodes: list[Episode], failures: int) -> str:
     whole = [episode for episode in episodes if not episode.terminated] or episodes
     lost = f" lost {failures}" if failures else ""
     if not all({"c_d", "c_l"} <= set(episode.readings) for episode in whole):
@@ -62,10 +69,12 @@ def say(text: str) -> None:
     console.print(escape(text), highlight=False, soft_wrap=True)
 
 
-def table(rows: Sequence[tuple[str, ...]]) -> None:
+def table(rows: Sequence[tuple[str, ...]], title: str | None = None) -> None:
     """Print rows, the first of them the heads of the columns."""
     head, *rest = rows
-    shown = Table(*map(escape, head))
+    shown = Table(title=None if title is None else escape(title), title_justify="left", title_style="bold")
+    for name in head:
+        shown.add_column(escape(name), overflow="fold")  # nothing is cut off
     for row in rest:
         shown.add_row(*map(escape, row))
     Console().print(shown)

@@ -155,23 +155,32 @@ class ControlledFlows:
         raw = np.nan_to_num(np.concatenate(parts, axis=1), nan=0.0, posinf=0.0, neginf=0.0)
         return np.clip(raw, -OBSERVATION_LIMIT, OBSERVATION_LIMIT).astype(np.float32)
 
-    def act(self, actions: np.ndarray) -> Outcome:
-        """Hold actions (B, actions), clipped to [-1, 1], for one action interval: these, or what the delay lets act."""
+    def act(self, actions: np.ndarray, parts: int = 1, seen: Callable[[np.ndarray], None] | None = None) -> Outcome:
+        """Hold actions (B, actions), clipped to [-1, 1], for one action interval: these, or what the delay lets act.
+
+        seen: called with the amplitudes (inputs, B) after each of the parts that the interval is cut into, for pictures
+        in between; no bit depends on them.
+        """
         queue = np.concatenate([self._pending, np.clip(actions.astype(np.float64), -1.0, 1.0)[None]])
         clipped, self._pending = queue[0], queue[1:]
         # summed in order, so that no bit depends on B
         mixed = sum(self.mixing[:, k, None] * clipped[None, :, k] for k in range(clipped.shape[1]))
         wanted = self.limits[:, None] * mixed
         amplitudes = self.task.law.series(self.steps, self.flow.case.dt, self.amplitude, self.wanted, wanted)
-        read = self.batch.advance(self.batch.disturbed(amplitudes))
+        found = []
+        for part in np.array_split(self.batch.disturbed(amplitudes), parts):
+            found.append(self.batch.advance(part))
+            if seen is not None:
+                seen(part[-1, : len(self.limits)])
+        read = np.concatenate(found)
         self.amplitude, self.wanted = amplitudes[-1].copy(), wanted
         self.actions += 1
         series = readings.named(self.flow.operators, read, amplitudes)
         diverged = readings.blown(self.flow.operators, read)
         means = readings.means({name: np.where(diverged, np.nan, part) for name, part in series.items()})
         self.means = {name: part.copy() for name, part in means.items()}
-        seen = self._look(range(self.count))[:, None]
-        self._frames = np.concatenate([self._frames[:, 1:], seen], axis=1)
+        newest = self._look(range(self.count))[:, None]
+        self._frames = np.concatenate([self._frames[:, 1:], newest], axis=1)
         truncated = (self.actions >= self.task.actions) & ~diverged
         reward = np.array([self._reward(means, b, bool(diverged[b])) for b in range(self.count)])
         return Outcome(reward, means, diverged, truncated, series, amplitudes)

@@ -7,6 +7,7 @@ import numpy as np
 from manywake.case import task as tasks
 from manywake.case.task import Task
 from manywake.env.control import ControlledFlows, Snapshot
+from manywake.flow.batch import Start
 from manywake.flow.store import Flow
 
 
@@ -53,6 +54,23 @@ class SeveralFlows:
         """Return all that one flow's future depends on, but for its Reynolds number."""
         k = int(self._which[column])
         return self._parts[k].snapshot(int(np.searchsorted(self._members(k), column)))
+
+    def state(self, column: int) -> tuple[Flow, Start]:
+        """Return one flow's case and baseline, and where it is now."""
+        k = int(self._which[column])
+        return self.flows[k], self._parts[k].batch.state(int(np.searchsorted(self._members(k), column)))
+
+    def restore(self, column: int, which: int, kept: Snapshot) -> None:
+        """Put a flow to a Reynolds number, by its place in the task's, and back to where a snapshot was taken."""
+        if which != self._which[column]:
+            moved = self._which.copy()
+            moved[column] = which
+            self._move(moved)
+        self._parts[which].restore(int(np.searchsorted(self._members(which), column)), kept)
+
+    def which(self, column: int) -> int:
+        """Return the place of a flow's Reynolds number in the task's."""
+        return int(self._which[column])
 
     def reynolds(self) -> np.ndarray:
         """Return the Reynolds number of each flow, (B,)."""

@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 Kind = Literal["steady", "periodic", "aperiodic"]
 
@@ -109,6 +109,6 @@ def _moments(segments: list[np.ndarray]) -> Moments:
     series, error = np.concatenate(segments), 0.0
     if len(segments) > 1:
         means = np.array([part.mean() for part in segments])
-        error = float(stats.t.ppf(0.975, len(means) - 1) * means.std(ddof=1) / np.sqrt(len(means)))
+        error = float(stdtrit(len(means) - 1, 0.975) * means.std(ddof=1) / np.sqrt(len(means)))
     found = series.mean(), error, series.min(), series.max(), np.sqrt(np.mean(series**2))
     return Moments(*(float(number) for number in found))

@@ -1,5 +1,7 @@
 """Controlled against uncontrolled: a controller, for one episode, for the long run, from starts it was not made for."""
 
+import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -7,16 +9,18 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from manywake.case.case import Case
 from manywake.case.task import Task
 from manywake.env.control import ControlledFlows, drive
-from manywake.flow import baseline
+from manywake.flow import baseline, spinup
 from manywake.flow.baseline import Baseline
-from manywake.flow.batch import Start
+from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.readings import KINDS
 from manywake.flow.store import Flow
 from manywake.learn import tables
 from manywake.learn.controllers import Controller
 from manywake.learn.engine import Engine
+from manywake.machine import disk
 
 LONG_RUN = 4
 """Episode lengths of the long run, without reset."""
@@ -119,18 +123,55 @@ class Evaluation:
         return rows
 
     def draw(self, folder: Path, tail: str) -> None:
-        """Draw the wake, and the learning curve where the folder has a table of episodes."""
+        """Draw the wake, and the learning curve where the folder has a table of episodes; write the wake's series."""
         self.draw_as(folder, tail, _episodes(folder))
 
     def draw_as(self, folder: Path, tail: str, episodes: dict[str, np.ndarray]) -> None:
         """Draw the learning curve of episodes, where there are any, and the wake; tail: of the files' names."""
         from manywake import plots
 
+        whole, base = self.trajectory, self.flow.baseline
+        title = ", ".join(filter(None, (titled(folder), f"Re {self.flow.case.reynolds:g}")))
         if episodes:
-            plots.learning_curve(episodes, self.flow.baseline, folder / f"learning-curve{tail}.png")
-        whole, path = self.trajectory, folder / f"wake{tail}.png"
-        series = {name: part[:, 0] for name, part in whole.series.items()}
-        plots.wake(self.flow, whole.ends[0], series, whole.amplitudes[:, :, 0], path)
+            plots.learning_curve(episodes, base, title, folder / f"learning-curve{tail}.png")
+        free = FlowBatch(self.flow.operators, base.start, 1)
+        uncontrolled = spinup.free_run(free, len(whole.amplitudes))
+        table = record(self.flow.case, plots.shown(base), whole, uncontrolled)
+        _write(table, folder / f"wake{tail}.csv")
+        plots.wake(self.flow, free.state(0).u, whole.ends[0].u, table, title, folder / f"wake{tail}.png")
+
+
+def titled(folder: Path) -> str:
+    """Return what pictures say of the run in a folder: what was trained on, for which reward, its seed; or nothing."""
+    path = folder / "settings.json"
+    if not path.exists():
+        return ""
+    described = json.loads(path.read_text())
+    simulation, words = described["simulation"], []
+    if "task" in simulation:
+        words.append(f"reward {simulation['task']['reward']['name']}")
+    name = simulation.get("name") or simulation.get("env") or simulation["kind"]
+    return ", ".join((name, *words, f"seed {described['seed']}"))
+
+
+def record(
+    case: Case, names: Sequence[str], whole: Trajectory, uncontrolled: dict[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Return the columns of wake.csv, a row a solver step: readings with and without control, what drives the flow.
+
+    names: of the readings. whole: its first flow is taken. uncontrolled: series (steps, 1) by name.
+    """
+    time = (np.arange(len(whole.amplitudes)) + 1) * case.dt / case.convective_time
+    controlled = {name: whole.series[name][:, 0] for name in names}
+    free = {f"{name}_uncontrolled": uncontrolled[name][:, 0] for name in names}
+    driven = {f"amplitude.{a.on}": whole.amplitudes[:, k, 0] for k, a in enumerate(case.actuators)}
+    return {"time": time} | controlled | free | driven
+
+
+def _write(table: dict[str, np.ndarray], path: Path) -> None:
+    """Write columns as CSV with seven digits, whole or not at all."""
+    rows, style = np.column_stack(list(table.values())), {"fmt": "%.7g", "delimiter": ",", "comments": ""}
+    disk.write(path, lambda file: np.savetxt(file, rows, header=",".join(table), **style))
 
 
 @dataclass(frozen=True)
@@ -152,7 +193,7 @@ class Evaluations:
         return rows
 
     def draw(self, folder: Path, tail: str) -> None:
-        """Draw learning curve and wake at each Reynolds number."""
+        """Draw learning curve and wake at each Reynolds number, and write the wake's series."""
         episodes = _episodes(folder)
         for part in self.parts:
             reynolds = part.flow.case.reynolds

@@ -101,6 +101,14 @@ class Chosen:
         return tuple(replace(self.case, reynolds=re) for re in self.task.reynolds_numbers) or (self.case,)
 
 
+class UnknownSetting(ValueError):
+    """A setting that a case, its task and its learner do not have."""
+
+    def __init__(self, name: str, known: set[str]):
+        self.wanted = f"{name!r}, wanted one of {', '.join(sorted(known))}"
+        super().__init__(f"got the setting {self.wanted}")
+
+
 def names() -> list[str]:
     """Return the names of the shipped cases."""
     return [module.name.replace("_", "-") for module in pkgutil.iter_modules(suite.__path__) if module.name != "load"]
@@ -202,7 +210,7 @@ def _replaced(
     changed: dict[type, dict[str, Any]] = {kind: {} for kind in owners}  # replaced at once: some depend on each other
     for name, value in sorted(overrides.items(), key=lambda item: "." in item[0]):  # a whole, then parts of it
         if name not in {*of, *known}:
-            raise ValueError(f"got the setting {name!r}, wanted one of {', '.join(sorted({*of, *known}))}")
+            raise UnknownSetting(name, {*of, *known})
         head, _, tail = name.partition(".")
         field = {"limit": "actuators", "points": "sensors", "noise": "sensors"}.get(head, head)
         now = changed[of[field]].get(field, getattr(owners[of[field]], field))

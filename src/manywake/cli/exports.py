@@ -1,0 +1,183 @@
+"""manywake movie, export, export-policy: a flow as a film or for ParaView, a policy as an ONNX graph."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from manywake import api
+from manywake.cli import show
+from manywake.cli.flow import OnCase
+from manywake.cli.runs import OnRun
+from manywake.cli.show import Bar, Json, say
+from manywake.learn import flows
+from manywake.learn.controllers import Controller, Learnt
+from manywake.learn.runs import Run
+
+Output = Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="DIR")]
+
+
+@dataclass(frozen=True)
+class Export(OnRun):
+    """Play one episode of a run's newest policy, without noise, and write it as files for ParaView.
+
+    Without a run: manywake export --case NAME, with a controller as evaluate has them; --help beside it lists the
+    options.
+    """
+
+    output: Output = None
+    """Folder for the files; default RUN/paraview."""
+    actions: int | None = None
+    """How many are played; an episode's when not given."""
+    every: int = 1
+    """Actions from one frame to the next."""
+
+    def run(self) -> int:
+        from manywake import export
+
+        folder = export.free(self.output or self.run_folder / "paraview")
+        controller = Learnt(Run(self.run_folder).newest_version())
+        return _written(_flows(self), controller, folder, self.actions, self.every, self.json)
+
+
+@dataclass(frozen=True)
+class ExportCase(OnCase):
+    """Play one episode of a controller of no run, and write it as files for ParaView."""
+
+    output: Output = None
+    """Folder for the files; default paraview-<case>."""
+    every: int = 1
+    """Actions from one frame to the next."""
+    controller: str = "none"
+    """none, constant, harmonic, feedback; or module:function, (observation, info) -> action."""
+    pretrained: bool = False
+    """Play the policy that ships with the case."""
+    numbers: tuple[float, ...] | None = None
+    """Numbers of a simple controller, as a search gave them; those of the case's file when not given."""
+    protocol: str = "default"
+    """Which defaults the other settings have, of those that the case's file names."""
+
+    def run(self) -> int:
+        from manywake import export
+
+        folder = export.free(self.output or Path(f"paraview-{self.definition.name}"))
+        with Bar() as bar:
+            simulation = flows.open_flows(self.chosen(self.protocol), bar)
+        word = "pretrained" if self.pretrained else self.controller
+        controller = api.controller_of(simulation, word, self.numbers)
+        return _written(simulation, controller, folder, None, self.every, self.json)
+
+
+Film = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE")]
+
+
+@dataclass(frozen=True)
+class Movie(OnRun):
+    """Film one episode of a run's newest policy, without noise, below the flow uncontrolled.
+
+    Without a run: manywake movie --case NAME, with a controller as evaluate has them; --help beside it lists the
+    options.
+    """
+
+    output: Film = Path("wake.mp4")
+    """The file, .mp4 or .gif."""
+    actions: int | None = None
+    """How many are played; an episode's when not given."""
+
+    def run(self) -> int:
+        controller = Learnt(Run(self.run_folder).newest_version())
+        return _filmed(_flows(self), controller, self.output, self.actions, self.json)
+
+
+@dataclass(frozen=True)
+class MovieCase(OnCase):
+    """Film one episode of a controller of no run below the flow uncontrolled."""
+
+    output: Film = Path("wake.mp4")
+    """The file, .mp4 or .gif."""
+    controller: str = "none"
+    """none, constant, harmonic, feedback; or module:function, (observation, info) -> action."""
+    pretrained: bool = False
+    """Play the policy that ships with the case."""
+    numbers: tuple[float, ...] | None = None
+    """Numbers of a simple controller, as a search gave them; those of the case's file when not given."""
+    protocol: str = "default"
+    """Which defaults the other settings have, of those that the case's file names."""
+
+    def run(self) -> int:
+        with Bar() as bar:
+            simulation = flows.open_flows(self.chosen(self.protocol), bar)
+        word = "pretrained" if self.pretrained else self.controller
+        controller = api.controller_of(simulation, word, self.numbers)
+        return _filmed(simulation, controller, self.output, None, self.json)
+
+
+@dataclass(frozen=True)
+class ExportPolicy:
+    """Write a run's newest policy, its normaliser included, as an ONNX graph: observation -> action.
+
+    Nothing is played and no case file is needed.
+    """
+
+    run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE")] = None
+    """The file; default RUN/policy.onnx."""
+    json: Json = False
+
+    def run(self) -> int:
+        from manywake.learn import onnx
+
+        path = self.output or self.run_folder / "policy.onnx"
+        policy = onnx.write(Run(self.run_folder), path)
+        sizes = {"observed values": len(policy.mean), "actions": len(policy.log_std)}
+        show.numbers({"file": str(path), "policy after updates": policy.version, **sizes}, self.json)
+        return 0
+
+
+def _flows(command: OnRun) -> flows.Flows:
+    """Return the flows of a command's run; ValueError where it is one of another simulation."""
+    simulation = command.opened().simulation
+    if not isinstance(simulation, flows.Flows):
+        got = f"run: {command.run_folder} was made with --env"
+        raise ValueError(f"{got}, wanted one of a flow, whose fields are known")
+    return simulation
+
+
+def _filmed(simulation: flows.Flows, controller: Controller, path: Path, actions: int | None, as_json: bool) -> int:
+    """Film the flow, or each of a task of several Reynolds numbers, and show what was written."""
+    from manywake import movie
+
+    several, found = len(simulation.flows) > 1, []
+    with Bar() as bar:
+        for flow in simulation.flows:
+            named = path.with_stem(f"{path.stem}-{flow.case.reynolds:g}") if several else path
+            found.append(movie.movie(flow, simulation.task, controller, named, actions, progress=bar))
+    for each in found:
+        if each.diverged:
+            say(f"{each.path}: the controlled flow blew up, there the film ends")
+    files, blown = [str(each.path) for each in found], any(each.diverged for each in found)
+    show.numbers({"films": files, "frames": sum(each.frames for each in found), "blew up": blown}, as_json)
+    return 0
+
+
+def _written(
+    simulation: flows.Flows, controller: Controller, folder: Path, actions: int | None, every: int, as_json: bool
+) -> int:
+    """Export the flow, or each of a task of several Reynolds numbers, and show what was written."""
+    from manywake import export
+
+    several, found = len(simulation.flows) > 1, []
+    with Bar() as bar:
+        for flow in simulation.flows:
+            name = f"flow-{flow.case.reynolds:g}" if several else "flow"
+            found.append(export.export(flow, simulation.task, controller, folder, actions, every, name, bar))
+    for each in found:
+        if each.diverged:
+            say(f"{each.collection.name}: the flow blew up after {each.times[-1]:g} L/U; it has no more frames")
+    files = [str(each.collection) for each in found]
+    shown = files if as_json else ", ".join(files)
+    frames, end = sum(len(each.times) for each in found), max(each.times[-1] for each in found)
+    blown = any(each.diverged for each in found)
+    show.numbers({"open in ParaView": shown, "frames": frames, "end [L/U]": end, "blew up": blown}, as_json)
+    return 0

@@ -1,0 +1,73 @@
+"""Movies: what they show, and that filming changes nothing."""
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from PIL import Image
+
+from manywake import movie
+from manywake.env.control import ControlledFlows, drive
+from manywake.env.scene import STRIP, TITLE, WIDTH, Scene
+from manywake.learn import flows
+from manywake.learn.controllers import simple
+from manywake.suite import load
+
+# imageio-ffmpeg leaves a pipe for the collector to close
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+CONSTANT = simple("constant", (0.5,), 1)
+
+
+@pytest.fixture(scope="module")
+def simulation():
+    return flows.open_flows(load.choose("cylinder-jets", actions=4, interval=0.01))
+
+
+def frames(path):
+    """Return the size of a film and its pictures, (frames, height, width, 3)."""
+    reader = imageio_ffmpeg.read_frames(str(path))
+    width, height = next(reader)["size"]
+    return np.stack([np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in reader])
+
+
+def test_a_film_shows_the_start_and_the_parts_of_every_action(simulation, tmp_path):
+    made = movie.movie(simulation.flows[0], simulation.task, CONSTANT, tmp_path / "wake.mp4")
+    film = frames(made.path)
+    parts = simulation.task.steps(simulation.flows[0].case.dt)  # no more than there are steps
+    assert len(film) == made.frames == 1 + 4 * parts and not made.diverged
+    assert [path.name for path in tmp_path.iterdir()] == ["wake.mp4"]
+    scene = Scene(simulation.flows[0], 1.0)
+    height = scene.view.height
+    assert film.shape[1:] == (2 * (TITLE + height) + STRIP, WIDTH, 3)
+    # uncontrolled above controlled: alike at the start, of other colours at the slots in the end
+    above, below = film[:, TITLE : TITLE + height], film[:, 2 * TITLE + height : 2 * (TITLE + height)]
+    ((x, y),) = scene.view.pixels(np.array([(0.0, 0.05)])).astype(int)
+    slot = slice(y - 3, y + 3), slice(x - 3, x + 3)
+    first, last = (np.abs(above[k][slot].astype(int) - below[k][slot]).mean() for k in (0, -1))
+    assert last > 5 * first
+    drawn = scene.field(simulation.flows[0].baseline.start, np.zeros(2)).astype(int)
+    assert np.abs(above[0] - drawn).mean() < 4  # but for what the encoder loses
+
+
+def test_a_gif_moves_for_as_long(simulation, tmp_path):
+    made = movie.movie(simulation.flows[0], simulation.task, CONSTANT, tmp_path / "wake.gif")
+    with Image.open(made.path) as gif:
+        assert gif.size[0] == 3 * WIDTH // 4
+        assert gif.n_frames == pytest.approx(made.frames / 3, abs=1)
+
+
+def test_pictures_in_between_change_no_bit(simulation):
+    flow, task = simulation.flows[0], simulation.task
+    watched, twin = (ControlledFlows(flow, task, 2) for _ in range(2))
+    seen = []
+    for step in drive(twin, CONSTANT.on(twin), 3):
+        outcome = watched.act(step.action, 3, seen.append)
+        np.testing.assert_array_equal(outcome.reward, step.outcome.reward)
+        np.testing.assert_array_equal(watched.observe(), step.after)
+    assert len(seen) == 9
+    np.testing.assert_array_equal(seen[-1], twin.amplitude)
+
+
+def test_a_film_of_another_kind_is_refused_before_anything_is_played(simulation, tmp_path):
+    with pytest.raises(ValueError, match=r"output: got '.*wake.avi', wanted a name that ends in .mp4 or .gif"):
+        movie.movie(simulation.flows[0], simulation.task, CONSTANT, tmp_path / "wake.avi")
+    assert not list(tmp_path.iterdir())
