@@ -2,8 +2,8 @@
 
     python examples/train_sb3.py --algorithm sac --seed 1
 
-PPO (256 episodes) should save more than 7 % of the drag at the end, SAC (128 episodes) too; measured with seed 0: 7.8 %
-and 7.3 %. The most there is to save is 8 %. That took 3.3 and 4 minutes of processor time, on one core.
+Expect 7 to 8 % of the drag saved at the end; 8 % is all there is. With seed 0 PPO saved 7.8 % after 256 episodes, SAC
+7.3 % after 128. Either takes about 4 minutes of one core's time.
 The model is saved as SB3's zip, the running mean and deviation of the observations beside it (`VecNormalize.load`).
 `manywake train` uses two cores and gives the same bits everywhere; this does neither.
 """

@@ -1,6 +1,6 @@
 """The cylinder's jets under skrl's PPO: another library's loop on the same batch of flows.
 
-    python examples/train_skrl.py --total 20480
+    python examples/train_skrl.py --seed 1
 
 skrl takes a Gymnasium vector environment as it is. It records every step, so the step that Gymnasium's autoreset spends
 on the reset (reward 0, action without effect) is in its samples too: one in `actions` + 1.
@@ -23,8 +23,10 @@ from manywake import FlowVectorEnv
 
 
 def layers(inputs: int, outputs: int) -> nn.Sequential:
-    """Return a network of two hidden layers."""
-    return nn.Sequential(nn.Linear(inputs, 128), nn.Tanh(), nn.Linear(128, 128), nn.Tanh(), nn.Linear(128, outputs))
+    """Return a network of two hidden layers whose first answers are near 0."""
+    last = nn.Linear(256, outputs)
+    nn.init.orthogonal_(last.weight, 0.01)
+    return nn.Sequential(nn.Linear(inputs, 256), nn.ReLU(), nn.Linear(256, 256), nn.ReLU(), last)
 
 
 class Actor(GaussianMixin, Model):
@@ -34,7 +36,7 @@ class Actor(GaussianMixin, Model):
         Model.__init__(self, **spaces)
         GaussianMixin.__init__(self)
         self.network = layers(self.num_observations, self.num_actions)
-        self.log_std = nn.Parameter(torch.full((self.num_actions,), -1.0))
+        self.log_std = nn.Parameter(torch.full((self.num_actions,), -1.5))
 
     def compute(self, inputs, role):
         return self.network(inputs["observations"]), {"log_std": self.log_std}
@@ -53,8 +55,8 @@ class Critic(DeterministicMixin, Model):
 
 
 def train(
-    total: int = 20480,
-    flows: int = 8,
+    total: int = 40960,
+    flows: int = 16,
     actions: int = 160,
     interval: float = 0.025,
     seed: int = 0,
@@ -79,12 +81,13 @@ def train(
         "action_space": environment.action_space,
         "device": environment.device,
     }
-    rollout = 2 * (actions + 1)
+    rollout = actions + 1
     settings = PPO_CFG(
         rollouts=rollout,
         learning_epochs=5,
-        mini_batches=5,
-        learning_rate=3e-4,
+        mini_batches=8,
+        learning_rate=5e-4,
+        gae_lambda=0.97,
         time_limit_bootstrap=True,
         observation_preprocessor=RunningStandardScaler,
         observation_preprocessor_kwargs={"size": environment.observation_space, "device": environment.device},
@@ -105,5 +108,29 @@ def train(
     return agent
 
 
+def saved(agent: PPO, **given) -> float:
+    """Return the share of the drag that the policy without noise saves, in the second half of an episode."""
+    pair, drag = FlowVectorEnv(2, **given), []
+    seen, _ = pair.reset(seed=0)
+    for _ in range(pair.task.actions):
+        with torch.no_grad():
+            scaled = agent._observation_preprocessor(torch.as_tensor(seen))
+            action = agent.models["policy"].network(scaled).numpy()
+        seen, _, _, _, info = pair.step(action * [[1.0], [0.0]])  # the second flow is left alone
+        drag.append(info["c_d"])
+    controlled, free = np.mean(drag[len(drag) // 2 :], axis=0)
+    return float(1 - controlled / free)
+
+
+def main(total: int = 40960, seed: int = 0) -> None:
+    """Train, and say what the policy achieves.
+
+    Args:
+        total: Actions in all.
+        seed: Of weights and exploration.
+    """
+    print(f"drag saved: {saved(train(total, seed=seed)):.2%}")
+
+
 if __name__ == "__main__":
-    tyro.cli(train)
+    tyro.cli(main)

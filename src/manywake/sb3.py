@@ -101,6 +101,5 @@ class FlowVecEnv(VecEnv):
 
 
 def _of(info: dict[str, Any], b: int) -> dict[str, Any]:
-    """Return what the info of a batch says of flow b, numbers as Python's."""
-    parts = {key: value[b] for key, value in info.items() if not key.startswith("_") and info[f"_{key}"][b]}
-    return {key: part.item() if part.ndim == 0 else part for key, part in parts.items()}
+    """Return what the info of a batch says of flow b."""
+    return {key: value[b] for key, value in info.items() if not key.startswith("_") and info[f"_{key}"][b]}

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from manywake.case.case import Case
 from manywake.case.task import Task
@@ -100,7 +100,7 @@ class Evaluation:
     def over_starts(self, name: str) -> tuple[float, float]:
         """Return the mean over the starts and half the width of its 95 % confidence interval, of a number."""
         numbers = np.array([getattr(control, name) for control in self.phases])
-        return float(numbers.mean()), float(stats.t.ppf(0.975, PHASES - 1) * numbers.std(ddof=1) / np.sqrt(PHASES))
+        return float(numbers.mean()), float(stdtrit(PHASES - 1, 0.975) * numbers.std(ddof=1) / np.sqrt(PHASES))
 
     def table(self) -> list[tuple[str, ...]]:
         worst = min(self.phases, key=lambda control: -np.inf if control.diverged else control.reward)
