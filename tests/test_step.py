@@ -103,8 +103,8 @@ def test_pictures_of_a_flow_without_bodies_show_what_it_measures(flow, tmp_path)
     batch, amplitudes = FlowBatch(flow.operators, flow.baseline.start, 1), np.zeros((20, 1, 1))
     record = batches.recorded(batch, amplitudes, lambda what, share: None, "")
     whole = Trajectory(record, amplitudes, np.zeros((1, 1)), [])
-    table, u = evaluate.record(flow.case, plots.shown(flow.baseline), whole, record), batch.state(0).u
-    plots.wake(flow, u, u, table, "", tmp_path / "wake.png")
+    table, state = evaluate.record(flow.case, flow.baseline.shown, whole, record), batch.state(0)
+    plots.wake(flow, state, state, table, "", tmp_path / "wake.png")
     numbers = {f"{name}_second_half": np.arange(4.0) for name in record}
     episodes = numbers | {"update": np.zeros(4), "episode": np.arange(4), "wall_s": np.arange(4.0)}
     plots.learning_curve(episodes, flow.baseline, "", tmp_path / "curve.png")

@@ -212,6 +212,8 @@ def load_run(
     try:
         chosen = load.choose(case, task, **{**about["overrides"], **overrides})
     except TypeError as error:
+        if overrides:
+            raise  # it may be one of these
         raise ValueError(f"run: {run.path} is damaged: its overrides have a value of another type ({error})") from error
     return OpenRun(run, flows.reopen(run.folder, about, described["kept"], chosen))
 

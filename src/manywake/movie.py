@@ -9,7 +9,7 @@ import numpy as np
 
 from manywake.case.task import Task
 from manywake.env.control import ControlledFlows
-from manywake.env.scene import FREE, TRACE, Scene, shown, titled
+from manywake.env.scene import FREE, TRACE, Scene, titled
 from manywake.flow.baseline import Progress
 from manywake.flow.store import Flow
 from manywake.learn.controllers import Controller
@@ -50,7 +50,7 @@ def movie(
     count = actions or task.actions
     flows = ControlledFlows(flow, task, 2)
     flows.reset([0, 1], [seed, seed])
-    choose, names = controller.on(flows), [name for name, _ in shown(flow.baseline)]
+    choose, names = controller.on(flows), flow.baseline.shown
     scene = Scene(flow, count * task.interval)
     parts = min(max(1, round(FRAMES / task.actions)), flows.steps)
     controlled = np.array([[0.0], [1.0]])

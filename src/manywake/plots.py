@@ -9,18 +9,15 @@ import matplotlib
 matplotlib.use("Agg")
 
 import numpy as np
-import scipy.sparse as sp
-import skfem
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
-from matplotlib.tri import CubicTriInterpolator, Triangulation
-from scipy.sparse.linalg import spsolve
 
 from manywake.case.case import Case
 from manywake.case.geometry import Circle, outline
 from manywake.flow.baseline import Baseline
-from manywake.flow.space import Space
+from manywake.flow.batch import Start
+from manywake.flow.raster import Raster, window
 from manywake.flow.store import Flow
 from manywake.machine import disk
 
@@ -33,25 +30,14 @@ STEADY: dict[str, Any] = {"color": REFERENCE, "lw": 1.0, "ls": "--", "label": "s
 """A dashed line is the steady flow, in every picture."""
 FREE: dict[str, Any] = {"color": UNCONTROLLED, "lw": 1.0, "label": "uncontrolled, mean"}
 LABELS = {"c_d": "$C_D$", "c_l": "$C_L$"}
-SMOOTHING = 0.05
-"""Vorticity is smoothed over the root of this, in sizes of the triangles: a fifth, which hides them, and no more."""
-BEHIND = 15.5
-"""How far behind the last body the wake is drawn, in L."""
-PIXELS = 560
-"""Of a field, from left to right: about as many as its panel has."""
+PIXELS = 1000
+"""Of a field, from left to right."""
 SETTLED = 0.125
 """Share of a run after which its start does not decide the range of an axis."""
 
 matplotlib.rcParams.update(
     {"figure.dpi": 110, "font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
 )
-
-
-def shown(base: Baseline) -> tuple[str, ...]:
-    """Return the readings that are drawn: drag and lift, or at most two of what else the case measures."""
-    if "c_d" in base.free:
-        return "c_d", "c_l"
-    return tuple([name for name in base.steady if name != "power"][::-1][:2]) or ("power",)
 
 
 def _save(figure: Figure, path: Path) -> None:
@@ -77,7 +63,7 @@ def update_means(table: dict[str, np.ndarray], name: str) -> tuple[np.ndarray, n
 
 def learning_curve(episodes: dict[str, np.ndarray], base: Baseline, title: str, path: Path) -> None:
     """Draw the readings of the exploring episodes against episodes and wall time; `episodes` as in episodes.csv."""
-    names = shown(base)
+    names = base.shown
     figure = _figure(10, 0.9 + 2.6 * len(names), f"{title}: exploring policy")
     axes = figure.subplots(len(names), 2, sharey="row", squeeze=False)
     ends = [np.flatnonzero(episodes["update"] == update)[-1] for update in np.unique(episodes["update"])]
@@ -98,67 +84,37 @@ def learning_curve(episodes: dict[str, np.ndarray], base: Baseline, title: str, 
     _save(figure, path)
 
 
-def vorticity(space: Space, u: np.ndarray, smoothing: float = SMOOTHING) -> np.ndarray:
-    """Return the vorticity dv/dx - du/dy at the velocity's nodes (n,), projected onto P2; u: (n, 2).
-
-    smoothing: a share s of the triangles' size h squared, of (w, q) + s (h^2 grad w, grad q) = (curl u, q).
-    """
-    basis = space.velocity
-    ux, vx = (basis.interpolate(u[:, c]) for c in range(2))
-    load = skfem.LinearForm(lambda q, w: (w.v.grad[0] - w.u.grad[1]) * q).assemble(basis, u=ux, v=vx)
-    mass = skfem.BilinearForm(lambda p, q, w: p * q + smoothing * w.h**2 * skfem.helpers.dot(p.grad, q.grad))
-    return spsolve(sp.csc_matrix(mass.assemble(basis)), load)
-
-
-def raster(space: Space, values: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ma.MaskedArray:
-    """Return values at the velocity's nodes (n,) on a grid, (y, x), with smooth slopes; masked outside the fluid."""
-    a, b, c, ab, bc, ca = space.nodes.T
-    quarters = np.concatenate(
-        [np.stack(part, axis=1) for part in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
-    )
-    mesh = Triangulation(space.x[:, 0], space.x[:, 1], quarters)
-    return CubicTriInterpolator(mesh, values, kind="geom")(*np.meshgrid(x, y))
-
-
-def _window(case: Case, space: Space) -> tuple[float, float, float, float]:
-    """Return the ends in x and y of what is drawn, in the case's unit."""
-    (left, low), (right, high) = space.mesh.points.min(axis=0), space.mesh.points.max(axis=0)
-    back = max((outline(body)[:, 0].max() for body in case.bodies), default=left)
-    return left, min(right, back + BEHIND * case.scales.length), low, high
-
-
-def _draw_vorticity(axis: Axes, case: Case, space: Space, u: np.ndarray):
-    left, right, low, high = _window(case, space)
-    x = np.linspace(left, right, PIXELS)
-    y = np.linspace(low, high, max(round(PIXELS * (high - low) / (right - left)), 2))
-    values, length = raster(space, vorticity(space, u) * case.convective_time, x, y), case.scales.length
-    ends = left / length, right / length, low / length, high / length
-    picture = axis.imshow(values, "RdBu_r", vmin=-3, vmax=3, extent=ends, interpolation="bilinear", origin="lower")
+def _draw_vorticity(axis: Axes, case: Case, drawn: Raster, state: Start):
+    view, length = drawn.view, case.scales.length
+    values = np.ma.array(drawn.vorticity(state) * case.convective_time, mask=~drawn.fluid)
+    (left, right), (low, high) = np.array([view.x, view.y]) / length
+    ends = float(left), float(right), float(low), float(high)
+    picture = axis.imshow(values, "RdBu_r", vmin=-3, vmax=3, extent=ends, interpolation="bilinear", aspect="auto")
     for body in case.bodies:
         axis.add_patch(Polygon(outline(body) / length, color="#888888", lw=0))
     unit = "D" if any(isinstance(b, Circle) and np.isclose(2 * b.radius, length) for b in case.bodies) else "L"
-    axis.set(xlabel=f"x/{unit}", ylabel=f"y/{unit}", xlim=ends[:2], ylim=ends[2:])
+    axis.set(xlabel=f"x/{unit}", ylabel=f"y/{unit}", xlim=ends[:2], ylim=ends[2:], box_aspect=view.height / view.width)
     return picture
 
 
 def wake(
-    flow: Flow, uncontrolled: np.ndarray, controlled: np.ndarray, record: dict[str, np.ndarray], title: str, path: Path
+    flow: Flow, uncontrolled: Start, controlled: Start, record: dict[str, np.ndarray], title: str, path: Path
 ) -> None:
     """Draw the flow without and with control at one time, and the series that led there.
 
-    uncontrolled, controlled: velocities (n, 2) at the end of the record. record: columns of wake.csv.
+    uncontrolled, controlled: the states at the end of the record. record: columns of wake.csv.
     """
-    case, base, space = flow.case, flow.baseline, flow.operators.space
-    left, right, low, high = _window(case, space)
-    field, names, time = float(np.clip(4.6 * (high - low) / (right - left), 0.5, 2.8)), shown(base), record["time"]
+    case, base = flow.case, flow.baseline
+    drawn = Raster(flow.operators.space, window(case, base.mesh, PIXELS))
+    field, names, time = 4.6 * drawn.view.height / PIXELS, base.shown, record["time"]
     heights = [field + 0.6, *[1.5] * len(names), 1.2]
     figure = _figure(11, sum(heights) + 1.2, f"{title}, {time[-1]:.4g} L/U after control began")
     grid = figure.add_gridspec(2, 1, height_ratios=[field + 0.9, sum(heights[1:])])
     above, below = (figure.add_subfigure(part) for part in (grid[0], grid[1]))
     fields = above.subplots(1, 2, sharey=True)
     pictures = ("uncontrolled", UNCONTROLLED, uncontrolled), ("controlled", CONTROLLED, controlled)
-    for axis, (name, color, u) in zip(fields, pictures, strict=True):
-        picture = _draw_vorticity(axis, case, space, u)
+    for axis, (name, color, state) in zip(fields, pictures, strict=True):
+        picture = _draw_vorticity(axis, case, drawn, state)
         axis.set_title(name, loc="left", color=color, fontsize=10)
     fields[1].set_ylabel("")
     beside = fields[1].inset_axes((1.02, 0, 0.02, 1))

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from manywake.env.scene import Scene, shown
+from manywake.env.scene import Scene
 from manywake.env.several import SeveralFlows
 from manywake.env.window import Window
 
@@ -34,7 +34,7 @@ class Pictures:
         if self._mode is None:
             return
         flows = self._flows
-        means, names = flows.means, [name for name, _ in shown(flows.flows[0].baseline)]
+        means, names = flows.means, flows.flows[0].baseline.shown
         for b in np.flatnonzero(~fresh):
             time = float(flows.actions[b] * flows.task.interval)
             self._traces[b].append((time, *(float(means[name][b]) for name in names)))

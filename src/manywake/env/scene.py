@@ -10,7 +10,6 @@ from manywake.case.case import Case
 from manywake.case.geometry import Body, outline
 from manywake.case.inputs import BodyForce, Input
 from manywake.case.sensors import Probes, Shear
-from manywake.flow.baseline import Baseline
 from manywake.flow.batch import Start
 from manywake.flow.raster import Raster, window
 from manywake.flow.store import Flow
@@ -21,11 +20,12 @@ STRONGEST = 3.0
 """Vorticity, in U/L, at which the colour is full."""
 FINE = 4
 """What has edges is drawn this many times larger, then averaged."""
+FORCES = ("c_d", "c_l")
 BODY, SENSOR, INK, FREE, TRACE = (120, 120, 120), (40, 40, 40), (60, 60, 60), (196, 78, 82), (47, 108, 159)
 
 
 Traces = Sequence[tuple[float, ...]]
-"""Of one flow (time, reading, reading) so far, the readings being those `shown`."""
+"""Of one flow so far: the time, then the readings that its baseline has to be shown."""
 
 
 def titled(picture: np.ndarray, title: str, colour: tuple[int, int, int]) -> np.ndarray:
@@ -33,15 +33,6 @@ def titled(picture: np.ndarray, title: str, colour: tuple[int, int, int]) -> np.
     image = Image.new("RGB", (2 * picture.shape[1], 2 * TITLE), "white")
     ImageDraw.Draw(image).text((12, 5), title, fill=colour, font=ImageFont.load_default(26))
     return np.concatenate([np.asarray(image.reduce(2)), picture])
-
-
-def shown(base: Baseline) -> tuple[tuple[str, str], tuple[str, str]]:
-    """Return the two readings that are drawn, with labels: drag and lift, or what else the case measures."""
-    if "c_d" in base.free:
-        return ("c_d", "C_D"), ("c_l", "C_L")
-    first, *others = [name for name in base.steady if name != "power"][::-1] or ["power"]
-    second = others[0] if others else first
-    return (first, first), (second, second)
 
 
 def palette(name: str) -> np.ndarray:
@@ -100,8 +91,9 @@ class Scene:
         """
         image = Image.new("RGB", (2 * WIDTH, 2 * STRIP), "white")
         draw, font = ImageDraw.Draw(image), ImageFont.load_default(22)
-        (times, *series), (_, *others) = (np.array(part).reshape(-1, 3).T for part in (traces, beside))
-        for k, (name, label) in enumerate(shown(self.base)):
+        names = self.base.shown
+        (times, *series), (_, *others) = (np.array(part).reshape(-1, 1 + len(names)).T for part in (traces, beside))
+        for k, name in enumerate(names):
             left, right, top, bottom = k * WIDTH + 12, (k + 1) * WIDTH - 12, 40, 2 * STRIP - 10
             free, steady = self.base.free[name], self.base.steady[name]
             drawn = np.concatenate([series[k], others[k], [free, steady]])
@@ -118,7 +110,7 @@ class Scene:
                 if len(points) > 1:
                     draw.line([(float(x), float(y)) for x, y in points], fill=colour, width=4, joint="curve")
             now = f" {series[k][-1]:.3f}" if len(times) else ""
-            draw.text((left, 6), f"{label}{now}", fill=TRACE, font=font)
+            draw.text((left, 6), f"{name.upper() if name in FORCES else name}{now}", fill=TRACE, font=font)
             draw.text((left + 190, 6), f"uncontrolled {free:.3f}", fill=FREE, font=font)
         draw.text((2 * WIDTH - 160, 6), f"t {self._convective(times):.1f} L/U", fill=INK, font=font)
         return np.asarray(image.reduce(2))

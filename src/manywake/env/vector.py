@@ -167,8 +167,9 @@ class FlowVectorEnv(gymnasium.vector.VectorEnv):
         return self._pictures.render()
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Close the window, if there is one."""
-        self._pictures.close()
+        """Close the window, if there is one; Gymnasium asks for it too where the environment could not be made."""
+        if "_pictures" in vars(self):
+            self._pictures.close()
 
     def _restart(self, which: np.ndarray, given: Sequence[int | None] | None = None) -> None:
         """Begin the next episodes of the flows of a mask, of seeds that are given; a fresh flow has no readings yet."""

@@ -72,6 +72,13 @@ class Baseline:
         return self.statistics.means
 
     @property
+    def shown(self) -> tuple[str, ...]:
+        """Readings that pictures show: drag and lift, or at most two of what else the case measures."""
+        if "c_d" in self.free:
+            return "c_d", "c_l"
+        return tuple([name for name in self.steady if name != "power"][::-1][:2]) or ("power",)
+
+    @property
     def advecting(self) -> tuple[np.ndarray, ...]:
         """Mean flow and fluctuation, and the steady flow where it is kept: what `assemble` makes operators with."""
         return (self.mean, self.fluctuation, *(() if self.still is None else (self.still,)))

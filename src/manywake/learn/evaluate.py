@@ -136,9 +136,9 @@ class Evaluation:
             plots.learning_curve(episodes, base, title, folder / f"learning-curve{tail}.png")
         free = FlowBatch(self.flow.operators, base.start, 1)
         uncontrolled = spinup.free_run(free, len(whole.amplitudes))
-        table = record(self.flow.case, plots.shown(base), whole, uncontrolled)
+        table = record(self.flow.case, base.shown, whole, uncontrolled)
         _write(table, folder / f"wake{tail}.csv")
-        plots.wake(self.flow, free.state(0).u, whole.ends[0].u, table, title, folder / f"wake{tail}.png")
+        plots.wake(self.flow, free.state(0), whole.ends[0], table, title, folder / f"wake{tail}.png")
 
 
 def titled(folder: Path) -> str:
