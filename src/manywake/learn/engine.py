@@ -15,11 +15,12 @@ from concurrent.futures.process import BrokenProcessPool
 from functools import lru_cache, partial
 from multiprocessing import connection, forkserver, util
 from pathlib import Path
-from typing import Any, Protocol
-
-from pebble import ProcessExpired, ProcessPool
+from typing import TYPE_CHECKING, Any, Protocol
 
 from manywake.machine import room
+
+if TYPE_CHECKING:
+    from pebble import ProcessPool
 
 LONGEST = 60
 """Characters of a folder that a socket's path may begin with: in all it has 100 or so."""
@@ -93,7 +94,9 @@ class Processes:
         for pool in self._free:
             pool.schedule(int)  # a pool starts its worker with its first task: let all of them start together
 
-    def _pool(self) -> ProcessPool:
+    def _pool(self) -> "ProcessPool":
+        from pebble import ProcessPool
+
         pool = ProcessPool(1, initializer=_end_with_parent, context=_context())
         workers = pool._pool_manager.worker_manager
         # pebble takes a worker that ends with code 0 for one that was told to; ours never are
@@ -131,12 +134,12 @@ class Processes:
         inner.add_done_callback(lambda done: self._done(pool, done, outer))
         return outer
 
-    def _drop(self, pool: ProcessPool) -> None:
+    def _drop(self, pool: "ProcessPool") -> None:
         with self._lock:
             self._pools.discard(pool)
         threading.Thread(target=_stop, args=[pool], daemon=True).start()
 
-    def _done(self, pool: ProcessPool, inner: Future, outer: Future) -> None:
+    def _done(self, pool: "ProcessPool", inner: Future, outer: Future) -> None:
         error = WorkerDied("the engine was closed") if inner.cancelled() else _told_apart(inner.exception())
         with self._lock:
             keep = len(self._free) < self.slots and not isinstance(error, WorkerDied | TimedOut)
@@ -186,6 +189,8 @@ def call(fn, *args: Any) -> Any:
 
 def _told_apart(error: BaseException | None) -> BaseException | None:
     """Return the error of a pebble future as one of ours where it is about the worker."""
+    from pebble import ProcessExpired
+
     if isinstance(error, ProcessExpired):
         how = f"signal {-error.exitcode}" if error.exitcode < 0 else f"exit code {error.exitcode}"
         hint = "; the system does that when memory runs out" if error.exitcode == -9 else ""
@@ -203,7 +208,7 @@ def _ended(workers: dict[int, Any]) -> tuple[tuple[int, int], ...]:
     return tuple((process.pid, workers.pop(process.pid).exitcode) for process in ended)
 
 
-def _stop(pool: ProcessPool) -> None:
+def _stop(pool: "ProcessPool") -> None:
     pool.stop()
     pool.join()
 
