@@ -16,8 +16,8 @@ from manywake.learn.controllers import Controller
 
 SPEED = 25
 """Frames a second."""
-FRAMES = 320
-"""About how many an episode has, however many actions that are."""
+FRAMES = 8
+"""About how many show a convective time L/U: three of these pass in a second."""
 KINDS = (".mp4", ".gif")
 
 
@@ -52,7 +52,7 @@ def movie(
     flows.reset([0, 1], [seed, seed])
     choose, names = controller.on(flows), flow.baseline.shown
     scene = Scene(flow, count * task.interval)
-    parts = min(max(1, round(FRAMES / task.actions)), flows.steps)
+    parts = min(max(1, round(FRAMES * task.interval / flow.case.convective_time)), flows.steps)
     controlled = np.array([[0.0], [1.0]])
     titles = f"uncontrolled, Re {flow.case.reynolds:g}", "controlled"
     traces: list[list[tuple[float, ...]]] = [[], []]

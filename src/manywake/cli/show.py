@@ -95,7 +95,7 @@ def ending(work: Callable[[], int]) -> None:
     try:
         sys.exit(work())
     except (KeyboardInterrupt, SystemError) as error:  # a kernel that is interrupted returns a SystemError
-        if not isinstance(error.__cause__ or error, KeyboardInterrupt):
+        if not _interrupted(error):
             raise
         say("stopped")
         sys.exit(130)
@@ -103,3 +103,10 @@ def ending(work: Callable[[], int]) -> None:
         console.print("[red]error:[/] ", end="")
         say(str(error))
         sys.exit(2)
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Return whether an error, or one that it came of, is an interrupt; kernels within kernels make a chain of them."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
