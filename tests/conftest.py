@@ -1,6 +1,7 @@
 """What several test files need: the shipped case, assembled once, and a tiny channel around a cylinder."""
 
 import os
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,6 +18,8 @@ from manywake.flow.mesh import Mesh
 from manywake.flow.operators import Operators
 from manywake.machine import compile
 from manywake.suite import cylinder_jets
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell that starts us in the background has it ignored
 
 
 @pytest.fixture(scope="session")

@@ -100,7 +100,7 @@ def test_make_vec_gives_the_true_batch():
     batch.close()
 
 
-def test_info_names_what_the_issue_names(made):
+def test_info_has_every_reading_of_the_last_action(made):
     _, info = made.reset(seed=0)
     assert set(info) == {"amplitudes", "reynolds", "time", "diverged"}  # no action yet, no mean of C_D and C_L over it
     assert "drag positive downstream, lift positive up" in made.metadata["coefficients"]
@@ -116,7 +116,7 @@ def test_info_names_what_the_issue_names(made):
     assert info["amplitudes"].sum() == 0.0
     assert info["amplitudes"][0] > 0
     assert info["time"] == pytest.approx(0.004)
-    assert info["diverged"] is False
+    assert not info["diverged"]
 
 
 def test_truncated_at_the_horizon_and_only_there(made):
