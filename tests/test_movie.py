@@ -1,15 +1,21 @@
 """Movies: what they show, and that filming changes nothing."""
 
+import json
+import subprocess
+import sys
+
 import imageio_ffmpeg
 import numpy as np
 import pytest
 from PIL import Image
 
-from manywake import movie
+from manywake import api, movie
+from manywake.case.learning import Learning
 from manywake.env.control import ControlledFlows, drive
 from manywake.env.scene import STRIP, TITLE, WIDTH, Scene
 from manywake.learn import flows
 from manywake.learn.controllers import simple
+from manywake.learn.settings import Collection
 from manywake.suite import load
 
 # imageio-ffmpeg leaves a pipe for the collector to close
@@ -71,3 +77,22 @@ def test_a_film_of_another_kind_is_refused_before_anything_is_played(simulation,
     with pytest.raises(ValueError, match=r"output: got '.*wake.avi', wanted a name that ends in .mp4 or .gif"):
         movie.movie(simulation.flows[0], simulation.task, CONSTANT, tmp_path / "wake.avi")
     assert not list(tmp_path.iterdir())
+
+
+def test_the_command_films_a_case_and_a_run(tmp_path):
+    def manywake(*words):
+        return subprocess.run([sys.executable, "-m", "manywake.cli", *words], capture_output=True, text=True)
+
+    short = ["--actions", "2", "--json"]
+    done = manywake("movie", "--case", "cylinder-jets", "--pretrained", "-o", str(tmp_path / "a.gif"), *short)
+    assert json.loads(done.stdout.splitlines()[-1]) == {
+        "films": [str(tmp_path / "a.gif")],
+        "frames": 5,
+        "blew up": False,
+    }
+    learning, collection = Learning(update_period=2, episodes=2, batch_size=2, hidden=(8,)), Collection(engine="serial")
+    api.train(learning=learning, collection=collection, run=tmp_path / "run", actions=2)
+    done = manywake("movie", str(tmp_path / "run"), "-o", str(tmp_path / "b.mp4"), "--json")
+    assert json.loads(done.stdout.splitlines()[-1])["frames"] == 5, done.stderr
+    refused = manywake("movie", str(tmp_path / "run"), "-o", str(tmp_path / "b.avi"))
+    assert refused.returncode == 2 and "wanted a name that ends in .mp4 or .gif" in " ".join(refused.stderr.split())

@@ -30,6 +30,13 @@ class Movie:
     diverged: bool
 
 
+def checked(path: Path) -> Path:
+    """Return the name of a film; ValueError where it is of no kind that can be written."""
+    if path.suffix not in KINDS:
+        raise ValueError(f"output: got {str(path)!r}, wanted a name that ends in {' or '.join(KINDS)}")
+    return path
+
+
 def movie(
     flow: Flow,
     task: Task,
@@ -43,8 +50,7 @@ def movie(
 
     actions: how many, an episode's when not given. seed: of the episode. ValueError for another kind of file.
     """
-    if path.suffix not in KINDS:
-        raise ValueError(f"output: got {str(path)!r}, wanted a name that ends in {' or '.join(KINDS)}")
+    checked(path)
     if actions is not None and actions < 1:
         raise ValueError(f"actions: got {actions}, wanted at least 1")
     count = actions or task.actions

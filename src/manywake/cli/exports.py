@@ -6,10 +6,8 @@ from typing import Annotated
 
 import tyro
 
-from manywake import api
 from manywake.cli import show
-from manywake.cli.flow import OnCase
-from manywake.cli.runs import OnRun
+from manywake.cli.runs import OnController, OnRun
 from manywake.cli.show import Bar, Json, say
 from manywake.learn import flows
 from manywake.learn.controllers import Controller, Learnt
@@ -42,30 +40,19 @@ class Export(OnRun):
 
 
 @dataclass(frozen=True)
-class ExportCase(OnCase):
+class ExportCase(OnController):
     """Play one episode of a controller of no run, and write it as files for ParaView."""
 
     output: Output = None
     """Folder for the files; default paraview-<case>."""
     every: int = 1
     """Actions from one frame to the next."""
-    controller: str = "none"
-    """none, constant, harmonic, feedback; or module:function, (observation, info) -> action."""
-    pretrained: bool = False
-    """Play the policy that ships with the case."""
-    numbers: tuple[float, ...] | None = None
-    """Numbers of a simple controller, as a search gave them; those of the case's file when not given."""
-    protocol: str = "default"
-    """Which defaults the other settings have, of those that the case's file names."""
 
     def run(self) -> int:
         from manywake import export
 
         folder = export.free(self.output or Path(f"paraview-{self.definition.name}"))
-        with Bar() as bar:
-            simulation = flows.open_flows(self.chosen(self.protocol), bar)
-        word = "pretrained" if self.pretrained else self.controller
-        controller = api.controller_of(simulation, word, self.numbers)
+        simulation, controller = self.opened()
         return _written(simulation, controller, folder, None, self.every, self.json)
 
 
@@ -86,31 +73,25 @@ class Movie(OnRun):
     """How many are played; an episode's when not given."""
 
     def run(self) -> int:
-        controller = Learnt(Run(self.run_folder).newest_version())
-        return _filmed(_flows(self), controller, self.output, self.actions, self.json)
+        from manywake import movie
+
+        path, controller = movie.checked(self.output), Learnt(Run(self.run_folder).newest_version())
+        return _filmed(_flows(self), controller, path, self.actions, self.json)
 
 
 @dataclass(frozen=True)
-class MovieCase(OnCase):
+class MovieCase(OnController):
     """Film one episode of a controller of no run below the flow uncontrolled."""
 
     output: Film = Path("wake.mp4")
     """The file, .mp4 or .gif."""
-    controller: str = "none"
-    """none, constant, harmonic, feedback; or module:function, (observation, info) -> action."""
-    pretrained: bool = False
-    """Play the policy that ships with the case."""
-    numbers: tuple[float, ...] | None = None
-    """Numbers of a simple controller, as a search gave them; those of the case's file when not given."""
-    protocol: str = "default"
-    """Which defaults the other settings have, of those that the case's file names."""
 
     def run(self) -> int:
-        with Bar() as bar:
-            simulation = flows.open_flows(self.chosen(self.protocol), bar)
-        word = "pretrained" if self.pretrained else self.controller
-        controller = api.controller_of(simulation, word, self.numbers)
-        return _filmed(simulation, controller, self.output, None, self.json)
+        from manywake import movie
+
+        path = movie.checked(self.output)
+        simulation, controller = self.opened()
+        return _filmed(simulation, controller, path, None, self.json)
 
 
 @dataclass(frozen=True)

@@ -144,8 +144,8 @@ class Evaluate(OnRun):
 
 
 @dataclass(frozen=True)
-class EvaluateController(OnCase):
-    """Play a controller of no run, for a flow against the uncontrolled one."""
+class OnController(OnCase):
+    """A command on flows under a controller of no run."""
 
     controller: str = "none"
     """none, constant, harmonic, feedback; or module:function, (observation, info) -> action."""
@@ -155,13 +155,23 @@ class EvaluateController(OnCase):
     """Numbers of a simple controller, as a search gave them; those of the case's file when not given."""
     protocol: str = "default"
     """Which defaults the other settings have, of those that the case's file names."""
+
+    def opened(self) -> tuple[flows.Flows, controllers.Controller]:
+        with Bar() as bar:
+            simulation = flows.open_flows(self.chosen(self.protocol), bar)
+        word = "pretrained" if self.pretrained else self.controller
+        return simulation, api.controller_of(simulation, word, self.numbers)
+
+
+@dataclass(frozen=True)
+class EvaluateController(OnController):
+    """Play a controller of no run, for a flow against the uncontrolled one."""
+
     workers: int = 2
     """Threads that play."""
 
     def run(self) -> int:
-        with Bar() as bar:
-            simulation = flows.open_flows(self.chosen(self.protocol), bar)
-        chosen = api.controller_of(simulation, "pretrained" if self.pretrained else self.controller, self.numbers)
+        simulation, chosen = self.opened()
         with closing(Threads(self.workers)) as where, console.status("evaluating"):
             found = simulation.judge(chosen, where)
         show.table(found.table())
