@@ -29,15 +29,15 @@ Watching = Annotated[bool, tyro.conf.arg(help=f"Keep {NAME} in the run folder up
 
 @dataclass(frozen=True)
 class GivenLearning(Learning):
-    """Settings of the learner as the words say them: the parser must not refuse them, as it would in its own words."""
+    """Settings of the learner."""
 
     def __post_init__(self) -> None:
-        """Let `Learning` refuse them."""
+        """Refuse nothing: `Learning` does it, in words that the parser would replace by its own."""
 
 
 @dataclass(frozen=True)
 class GivenCollection(Collection):
-    """How episodes are collected, as the words say it."""
+    """How episodes are collected."""
 
     def __post_init__(self) -> None:
         """Let `Collection` refuse it."""
