@@ -36,7 +36,8 @@ def reduction(now, free):
 REWARDS = {"reduction": reduction, "power": power}
 TASK = Task(0.5, 200, reduction, observe=("wake", "amplitudes"), mixing=PAIR, law=Linear())
 LEARNING = Learning()
-# policies/square-jets.npz: manywake train --seed 0
+# manywake search --rounds 4; policies/square-jets.npz: manywake train --seed 0
+CONTROLLERS = {"constant": (0.0002,), "harmonic": (0.1407, 0.1288)}
 PROTOCOLS = {"base": (replace(TASK, observe=("base", "amplitudes")), LEARNING)}
 
 RELEASED = "Xia et al. 2024, released code"
