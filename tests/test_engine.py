@@ -56,11 +56,11 @@ def temporary():
 
 
 def emptied(folder) -> bool:
-    """Return whether no folder is left in a folder, within five seconds.
+    """Return whether no folder is left in a folder, within thirty seconds: a busy machine takes its time.
 
     A file may be: Python writes one to see whether it can, and may be killed before it has removed it.
     """
-    for _ in range(500):
+    for _ in range(3000):
         if not any(path.is_dir() for path in Path(folder).iterdir()):
             return True
         time.sleep(0.01)
@@ -75,7 +75,7 @@ def alive(process: int) -> bool:
         return False
 
 
-def gone(process: int, seconds: float = 5.0) -> bool:
+def gone(process: int, seconds: float = 30.0) -> bool:
     """Return whether a process has ended, within some seconds."""
     until = time.monotonic() + seconds
     while alive(process) and time.monotonic() < until:
