@@ -22,6 +22,17 @@ from manywake.suite import cylinder_jets
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell that starts us in the background has it ignored
 
 
+@pytest.fixture
+def one_thread():
+    """Torch on one thread, on which networks this small are fastest."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
 @pytest.fixture(scope="session")
 def shipped():
     """The flow of the default case."""

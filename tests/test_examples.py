@@ -8,11 +8,11 @@ import signal
 import subprocess
 import sys
 import time
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from gymnasium.utils.env_checker import check_env
 
 from examples.own_solver import environment
@@ -31,14 +31,6 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT / "src"), s
 
 SHORT = {"interval": 0.002, "actions": 3}
 """Two solver steps an action, three actions an episode."""
-
-
-@pytest.fixture
-def one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture
@@ -308,7 +300,7 @@ def test_skrl_takes_steps_with_finite_losses(one_thread, capsys):
 @pytest.mark.filterwarnings("ignore")  # of TorchRL's own experiments
 @pytest.mark.parametrize("name", ["train_cleanrl", "train_torchrl"])
 def test_ppo_in_other_words_takes_steps(name, one_thread, capsys):
-    module = pytest.importorskip(f"examples.{name}")
+    module = import_module(f"examples.{name}")
     assert abs(module.train(episodes=4, flows=2, actions=3, interval=0.002)) < 0.1
     rewards = [float(line.split()[-1]) for line in capsys.readouterr().out.splitlines() if "episodes" in line]
     assert len(rewards) == 2 and np.isfinite(rewards).all()

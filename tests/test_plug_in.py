@@ -90,10 +90,11 @@ def test_the_statistics_of_an_episode_are_its_rewards():
 
 @pytest.mark.filterwarnings("ignore")  # of TorchRL's own imports
 def test_torchrl_takes_ids_environments_and_batches():
-    torchrl = pytest.importorskip("torchrl.envs")
-    by_id = torchrl.GymEnv(ID, **SHORT)
-    single = torchrl.GymWrapper(gymnasium.make(ID, **SHORT))
+    from torchrl import envs
+
+    by_id = envs.GymEnv(ID, **SHORT)
+    single = envs.GymWrapper(gymnasium.make(ID, **SHORT))
     single.auto_register_info_dict()
-    batch = torchrl.GymWrapper(FlowVectorEnv(2, autoreset_mode=AutoresetMode.DISABLED, **SHORT))
+    batch = envs.GymWrapper(FlowVectorEnv(2, autoreset_mode=AutoresetMode.DISABLED, **SHORT))
     assert [tuple(env.rollout(3).batch_size) for env in (by_id, single, batch)] == [(3,), (3,), (2, 3)]
     assert single.rollout(2)["next", "c_d"].shape == (2,)

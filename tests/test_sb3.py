@@ -26,14 +26,6 @@ FEW = {"learning_starts": 4, "batch_size": 4, "gradient_steps": 1}
 
 
 @pytest.fixture
-def one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
-@pytest.fixture
 def pair():
     flows = FlowVecEnv(2, **SHORT)
     yield flows
