@@ -9,13 +9,13 @@ import numpy as np
 
 from manywake.case.task import Task
 from manywake.env.control import ControlledFlows
+from manywake.env.pictures import SPEED
 from manywake.env.scene import FREE, TRACE, Scene, titled
 from manywake.flow.baseline import Progress
 from manywake.flow.store import Flow
 from manywake.learn.controllers import Controller
+from manywake.machine import disk
 
-SPEED = 25
-"""Frames a second."""
 FRAMES = 8
 """About how many show a convective time L/U: three of these pass in a second."""
 KINDS = (".mp4", ".gif")
@@ -87,19 +87,14 @@ def movie(
 @contextmanager
 def _writer(path: Path) -> Iterator[Callable[[np.ndarray], None]]:
     """Give what takes pictures (height, width, 3) uint8, in turn, into a file that is whole or not there."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    begun = path.with_name(f".{path.stem}-begun{path.suffix}")
-    try:
+    with disk.begun(path) as name:
         if path.suffix == ".gif":
             kept: list[np.ndarray] = []
             yield kept.append
-            _gif(kept, begun)
+            _gif(kept, name)
         else:
-            with _encoder(begun) as write:
+            with _encoder(name) as write:
                 yield write
-        begun.replace(path)
-    finally:
-        begun.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -112,7 +107,12 @@ def _encoder(path: Path) -> Iterator[Callable[[np.ndarray], None]]:
     def write(picture: np.ndarray) -> None:
         if not made:
             height, width, _ = picture.shape
-            made.append(imageio_ffmpeg.write_frames(str(path), (width, height), fps=SPEED, macro_block_size=2))
+            kind = ["-f", "mp4"]  # the name does not tell
+            made.append(
+                imageio_ffmpeg.write_frames(
+                    str(path), (width, height), fps=SPEED, macro_block_size=2, output_params=kind
+                )
+            )
             made[0].send(None)
         made[0].send(np.ascontiguousarray(picture).tobytes())
 
@@ -131,4 +131,4 @@ def _gif(pictures: list[np.ndarray], path: Path) -> None:
     small = [image.resize((3 * image.width // 4, 3 * image.height // 4)) for image in images]
     colours = small[len(small) // 2].quantize(48)
     flat = [image.quantize(palette=colours, dither=Image.Dither.NONE) for image in small]
-    flat[0].save(path, save_all=True, append_images=flat[1:], duration=3000 // SPEED, loop=0, optimize=True)
+    flat[0].save(path, "GIF", save_all=True, append_images=flat[1:], duration=3000 // SPEED, loop=0, optimize=True)

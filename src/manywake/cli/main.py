@@ -43,9 +43,10 @@ def _hand_over(command: str, words: list[str]) -> None:
 def _of_no_run(words: list[str]) -> bool:
     """Return whether the words play a controller that comes from no run."""
     named = {word.partition("=")[0] for word in words}
-    if words[:1] in (["export"], ["movie"]) and "--case" in named and words[1].startswith("-"):
+    shows = words[:1] in (["export"], ["movie"])
+    if shows and "--case" in named and words[1].startswith("-"):
         return True  # a run, which may want its case file, stands first
-    return words[:1] in (["evaluate"], ["export"], ["movie"]) and not named.isdisjoint(("--controller", "--pretrained"))
+    return (shows or words[:1] == ["evaluate"]) and not named.isdisjoint(("--controller", "--pretrained"))
 
 
 def _commands(words: list[str]) -> Any:

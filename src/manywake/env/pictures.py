@@ -11,7 +11,7 @@ from manywake.env.window import Window
 
 MODES = ("rgb_array", "human")
 SPEED = 25
-"""Pictures a second of a movie that has one for each action."""
+"""Pictures a second of a film."""
 
 
 class Pictures:

@@ -1,7 +1,6 @@
 """A flow as a picture: vorticity, bodies, actuators by their amplitude, sensors, and traces of two readings below."""
 
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -60,14 +59,7 @@ class Scene:
         self._bodies = [self._patch(lambda draw, b=b: self._body(draw, b)) for b in flow.case.bodies]
         self._actuators = [self._patch(lambda draw, a=a: self._actuator(draw, a)) for a in flow.case.actuators]
         self._sensors = self._patch(self._dots)
-
-    @cached_property
-    def _colours(self) -> np.ndarray:
-        return palette("RdBu_r")
-
-    @cached_property
-    def _amplitudes(self) -> np.ndarray:
-        return palette("PuOr_r")
+        self._colours, self._amplitudes = palette("RdBu_r"), palette("PuOr_r")
 
     def frame(self, state: Start, amplitudes: np.ndarray, traces: Traces) -> np.ndarray:
         """Draw one moment and what led to it. amplitudes: (inputs,) in units of their limits."""
@@ -112,11 +104,9 @@ class Scene:
             now = f" {series[k][-1]:.3f}" if len(times) else ""
             draw.text((left, 6), f"{name.upper() if name in FORCES else name}{now}", fill=TRACE, font=font)
             draw.text((left + 190, 6), f"uncontrolled {free:.3f}", fill=FREE, font=font)
-        draw.text((2 * WIDTH - 160, 6), f"t {self._convective(times):.1f} L/U", fill=INK, font=font)
+        passed = times[-1] / self.case.convective_time if len(times) else 0.0
+        draw.text((2 * WIDTH - 160, 6), f"t {passed:.1f} L/U", fill=INK, font=font)
         return np.asarray(image.reduce(2))
-
-    def _convective(self, times: np.ndarray) -> float:
-        return float(times[-1] / self.case.convective_time) if len(times) else 0.0
 
     def _fine(self, points: np.ndarray) -> list[tuple[float, float]]:
         return [(float(x) * FINE, float(y) * FINE) for x, y in self.view.pixels(np.asarray(points, dtype=float))]

@@ -50,15 +50,20 @@ class SeveralFlows:
         """Return the columns of all flows of one Reynolds number, in their order."""
         return np.flatnonzero(self._which == k)
 
+    def _at(self, column: int) -> tuple[ControlledFlows, int]:
+        """Return which flows a column's advances with, and its place among them."""
+        k = self.which(column)
+        return self._parts[k], int(np.searchsorted(self._members(k), column))
+
     def snapshot(self, column: int) -> Snapshot:
         """Return all that one flow's future depends on, but for its Reynolds number."""
-        k = int(self._which[column])
-        return self._parts[k].snapshot(int(np.searchsorted(self._members(k), column)))
+        part, place = self._at(column)
+        return part.snapshot(place)
 
     def state(self, column: int) -> tuple[Flow, Start]:
         """Return one flow's case and baseline, and where it is now."""
-        k = int(self._which[column])
-        return self.flows[k], self._parts[k].batch.state(int(np.searchsorted(self._members(k), column)))
+        part, place = self._at(column)
+        return part.flow, part.batch.state(place)
 
     def restore(self, column: int, which: int, kept: Snapshot) -> None:
         """Put a flow to a Reynolds number, by its place in the task's, and back to where a snapshot was taken."""
@@ -66,7 +71,8 @@ class SeveralFlows:
             moved = self._which.copy()
             moved[column] = which
             self._move(moved)
-        self._parts[which].restore(int(np.searchsorted(self._members(which), column)), kept)
+        part, place = self._at(column)
+        part.restore(place, kept)
 
     def which(self, column: int) -> int:
         """Return the place of a flow's Reynolds number in the task's."""

@@ -1,4 +1,4 @@
-"""Fields of a flow as pixels, for eyes: points are located once, then a picture is two sparse products."""
+"""The vorticity of a flow as pixels, for eyes: points are located once, then a picture is two sparse products."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from manywake.case.case import Case
 from manywake.case.geometry import outline
 from manywake.flow.batch import Start
 from manywake.flow.mesh import Mesh
-from manywake.flow.space import Space
+from manywake.flow.space import Space, gathering, quadratic
 
 BEFORE, BEHIND, BESIDE = 2.5, 15.5, 5.0
 """How far from the bodies a picture reaches, in L, where the flow does; behind a step as far from its edge."""
@@ -59,35 +59,25 @@ def window(case: Case, mesh: Mesh, width: int) -> Window:
 
 
 class Raster:
-    """The pixels of a window that lie in the fluid. Fields are (height, width) float32, 0 outside of the fluid."""
+    """The pixels of a window that lie in the fluid: `fluid`, (height, width)."""
 
     def __init__(self, space: Space, view: Window):
         self.view = view
         places = view.centres()
         element, corners = _located(space, places)
-        self.fluid = (element >= 0).reshape(view.height, view.width)
-        l = corners[element >= 0]
-        self._quadratic = _matrix(space.nodes[element[element >= 0]], _quadratic(l), len(space.x))
-        self._linear = _matrix(space.nodes[element[element >= 0], :3], l, len(space.mesh.points))
+        there = element >= 0
+        self.fluid = there.reshape(view.height, view.width)
+        shapes = quadratic(corners[there]).astype(np.float32)
+        self._interpolate = gathering(space.nodes[element[there]], shapes, len(space.x))
         self._slopes = _slopes(space)
 
     def vorticity(self, state: Start) -> np.ndarray:
-        """Return dv/dx - du/dy, in the case's units; its values at the nodes are means over the triangles there."""
-        u = state.u.astype(np.float32)
-        return self._filled(self._quadratic @ (self._slopes[0] @ u[:, 1] - self._slopes[1] @ u[:, 0]))
+        """Return dv/dx - du/dy, (height, width) float32, in the case's units, 0 outside of the fluid.
 
-    def speed(self, state: Start) -> np.ndarray:
-        """Return the absolute value of the velocity."""
-        u = self._quadratic @ state.u.astype(np.float32)
-        return self._filled(np.hypot(u[:, 0], u[:, 1]))
-
-    def pressure(self, state: Start) -> np.ndarray:
-        """Return the pressure."""
-        return self._filled(self._linear @ state.p.astype(np.float32))
-
-    def _filled(self, values: np.ndarray) -> np.ndarray:
-        picture = np.zeros(self.fluid.shape, np.float32)
-        picture[self.fluid] = values
+        Its values at the nodes are means over the triangles there.
+        """
+        picture, u = np.zeros(self.fluid.shape, np.float32), state.u.astype(np.float32)
+        picture[self.fluid] = self._interpolate @ (self._slopes[0] @ u[:, 1] - self._slopes[1] @ u[:, 0])
         return picture
 
 
@@ -104,16 +94,6 @@ def _located(space: Space, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     whole = area(a, b, c)
     return element, np.stack([area(places, b, c), area(a, places, c), area(a, b, places)], axis=1) / whole[:, None]
-
-
-def _quadratic(l: np.ndarray) -> np.ndarray:
-    """Return the quadratic shape functions (k, 6) at barycentric coordinates (k, 3)."""
-    return np.hstack([l * (2 * l - 1), 4 * l * l[:, [1, 2, 0]]])
-
-
-def _matrix(nodes: np.ndarray, values: np.ndarray, count: int) -> sp.csr_matrix:
-    first = np.arange(0, values.size + 1, values.shape[1])
-    return sp.csr_matrix((values.ravel().astype(np.float32), nodes.ravel(), first), (len(values), count))
 
 
 def _slopes(space: Space) -> list[sp.csr_matrix]:

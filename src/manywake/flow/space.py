@@ -107,22 +107,31 @@ def probe_matrix(basis: skfem.CellBasis, points: np.ndarray) -> sp.csr_matrix:
     return clean(basis.probes(points.T))
 
 
+def quadratic(l: np.ndarray) -> np.ndarray:
+    """Return the P2 shape functions (k, 6), vertices first, at barycentric coordinates (k, 3)."""
+    return np.hstack([l * (2 * l - 1), 4 * l * l[:, [1, 2, 0]]])
+
+
+def gathering(nodes: np.ndarray, shapes: np.ndarray, columns: int) -> sp.csr_matrix:
+    """Return the matrix (k, columns) that sums a nodal vector over some nodes (k, j) with their shapes (k, j)."""
+    first = np.arange(0, shapes.size + 1, shapes.shape[1])
+    return sp.csr_matrix((shapes.ravel(), nodes.ravel(), first), (len(shapes), columns))
+
+
 def carrying(space: Space, to: Space) -> tuple[sp.csr_matrix, sp.csr_matrix]:
     """Return the matrices that carry velocities (n,) and pressures (m,) to another mesh.
 
     to: on the mesh that is refined from this one, or that this one is refined from.
     """
     l = np.array([(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)]) / 4  # where the nodes of quarters are
-    quadratic = np.hstack([l * (2 * l - 1), 4 * l * l[:, [1, 2, 0]]])
-    _, near = cKDTree((quadratic @ space.x[space.nodes]).reshape(-1, 2)).query(to.x)
+    shapes = quadratic(l)
+    _, near = cKDTree((shapes @ space.x[space.nodes]).reshape(-1, 2)).query(to.x)
     element, node = np.divmod(near, len(l))
 
-    def matrix(rows: slice, shapes: np.ndarray, columns: int) -> sp.csr_matrix:
-        values, nodes = shapes[node[rows]], space.nodes[element[rows], : shapes.shape[1]]
-        first = np.arange(0, values.size + 1, values.shape[1])
-        return clean(sp.csr_matrix((values.ravel(), nodes.ravel(), first), (len(values), columns)))
-
-    return matrix(slice(None), quadratic, len(space.x)), matrix(slice(len(to.mesh.points)), l, len(space.mesh.points))
+    vertices = slice(len(to.mesh.points))
+    velocity = gathering(space.nodes[element], shapes[node], len(space.x))
+    pressure = gathering(space.nodes[element[vertices], :3], l[node[vertices]], len(space.mesh.points))
+    return clean(velocity), clean(pressure)
 
 
 def advection(space: Space, velocity: np.ndarray) -> sp.csr_matrix:

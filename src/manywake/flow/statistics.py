@@ -104,11 +104,16 @@ def uncontrolled(record: dict[str, np.ndarray], clock: str, time_step: float, fo
     return Statistics(found, length, time_step * sum(len(part) for mine in parts for part in mine), moments)
 
 
+def half_width(values: np.ndarray) -> float:
+    """Return half the width of the 95 % confidence interval of the mean of independent values (n,), n at least 2."""
+    return float(stdtrit(len(values) - 1, 0.975) * values.std(ddof=1) / np.sqrt(len(values)))
+
+
 def _moments(segments: list[np.ndarray]) -> Moments:
     """Return the moments of a series that comes in segments, its error from their means."""
     series, error = np.concatenate(segments), 0.0
     if len(segments) > 1:
         means = np.array([part.mean() for part in segments])
-        error = float(stdtrit(len(means) - 1, 0.975) * means.std(ddof=1) / np.sqrt(len(means)))
+        error = half_width(means)
     found = series.mean(), error, series.min(), series.max(), np.sqrt(np.mean(series**2))
     return Moments(*(float(number) for number in found))

@@ -8,8 +8,8 @@ from string import ascii_uppercase
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
+from manywake.flow.statistics import half_width
 from manywake.learn import tables
 from manywake.learn.runs import Run
 
@@ -64,8 +64,7 @@ class Group:
         values = np.array(self.numbers(measure))
         if len(values) < 2:
             return (float(values[0]), None) if len(values) else None
-        error = stats.t.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
-        return float(values.mean()), float(error)
+        return float(values.mean()), half_width(values)
 
     def plain(self) -> dict[str, Any]:
         seeds = [result.seed for result in self.results]
@@ -246,6 +245,8 @@ def _reward(group: Group) -> Any:
 
 def welch(first: Sequence[float], second: Sequence[float]) -> tuple[float, float, float, float | None]:
     """Return the difference of two means, its 95 % interval, and p of Welch's two-sided test; p None without spread."""
+    from scipy import stats  # slow to load, and every command loads this module
+
     a, b = (np.asarray(numbers, dtype=float) for numbers in (first, second))
     difference = float(b.mean() - a.mean())
     if np.ptp(a) == np.ptp(b) == 0:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from manywake.case.case import Case
 from manywake.case.task import Task
@@ -16,6 +15,7 @@ from manywake.flow import baseline, spinup
 from manywake.flow.baseline import Baseline
 from manywake.flow.batch import FlowBatch, Start
 from manywake.flow.readings import KINDS
+from manywake.flow.statistics import half_width
 from manywake.flow.store import Flow
 from manywake.learn import tables
 from manywake.learn.controllers import Controller
@@ -100,7 +100,7 @@ class Evaluation:
     def over_starts(self, name: str) -> tuple[float, float]:
         """Return the mean over the starts and half the width of its 95 % confidence interval, of a number."""
         numbers = np.array([getattr(control, name) for control in self.phases])
-        return float(numbers.mean()), float(stdtrit(PHASES - 1, 0.975) * numbers.std(ddof=1) / np.sqrt(PHASES))
+        return float(numbers.mean()), half_width(numbers)
 
     def table(self) -> list[tuple[str, ...]]:
         worst = min(self.phases, key=lambda control: -np.inf if control.diverged else control.reward)

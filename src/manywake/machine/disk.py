@@ -7,7 +7,8 @@ import os
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -45,14 +46,15 @@ def digest(arrays: dict[str, np.ndarray]) -> str:
     return sha.hexdigest()
 
 
-def write(path: Path, content: Callable[[IO[bytes]], object]) -> None:
-    """Write a file by content(file) so that, whatever happens, `path` holds all of it or what it held before."""
+@contextmanager
+def begun(path: Path) -> Iterator[Path]:
+    """Give the name of an empty file to fill. Once it is whole it becomes `path`, which else holds what it held."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".partial")
+    os.close(handle)
     try:
-        with os.fdopen(handle, "wb") as file:
-            content(file)
-            file.flush()
+        yield Path(name)
+        with open(name, "rb+") as file:
             os.fsync(file.fileno())
         os.chmod(name, 0o644)
         os.replace(name, path)
@@ -61,3 +63,9 @@ def write(path: Path, content: Callable[[IO[bytes]], object]) -> None:
         if isinstance(error, OSError) and error.errno and error.filename is None:  # a full disk names no file
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
+
+
+def write(path: Path, content: Callable[[IO[bytes]], object]) -> None:
+    """Write a file by content(file) so that, whatever happens, `path` holds all of it or what it held before."""
+    with begun(path) as name, open(name, "wb") as file:
+        content(file)
