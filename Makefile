@@ -5,7 +5,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 
-.PHONY: setup train figures test test-all lint same
+DOCS := $(VENV)/.docs
+
+.PHONY: setup train figures test test-all lint same docs
 
 setup: $(STAMP)
 
@@ -33,6 +35,16 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m website.prose
+
+# the documentation as a site, in site/: strictly, with every internal link and picture checked
+docs: setup $(DOCS)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+	$(BIN)/linkchecker --no-status --ignore-url '^(https?|mailto):' site/index.html
+
+$(DOCS): pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	touch $(DOCS)
 
 # whether the paper's case has the same bits as at another commit: make same BASE=<commit>
 same: setup

@@ -35,7 +35,7 @@ BY_PROTOCOL = True
 
 PAPER = {"environment": 0.997, "learner": 0.003}
 RELEASED_EPISODE = 204.0
-"""Seconds of an episode of the released code on such a core: 4000 steps of 51 ms (docs/performance.md)."""
+"""Seconds of an episode of the released code on such a core: 4000 steps of 51 ms, as measured on that core."""
 QUADRATURE = 7
 
 

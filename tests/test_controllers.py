@@ -134,12 +134,24 @@ def test_the_search_finds_the_constant_that_the_reward_asks_for(shipped):
     simulation = Flows((shipped,), replace(chosen, task=replace(chosen.task, reward=half)))
     told = []
     found = [
-        controllers.search(simulation, "constant", Threads(slots), 4, 1, lambda what, share: told.append(share))
+        controllers.search(simulation, "constant", Threads(slots), 6, 1, lambda what, share: told.append(share))
         for slots in (1, 2)
     ]
     assert found[0] == found[1]
     assert found[0].numbers[0] == pytest.approx(0.5, abs=0.02)
-    assert found[0].tried == 5 * 16 and told[-1] == 1.0
+    assert found[0].tried == 7 * 16 and told[-1] == 1.0
+
+
+def test_a_search_that_finds_nothing_better_ends_at_nothing(shipped):
+    def still(now, free):
+        """Largest where nothing acts."""
+        return -abs(now["power"])
+
+    chosen = load.choose("cylinder-jets", actions=6, interval=0.002)
+    simulation = Flows((shipped,), replace(chosen, task=replace(chosen.task, reward=still)))
+    for name in ("constant", "feedback"):
+        found = controllers.search(simulation, name, Threads(1), 1, 1, lambda what, share: None)
+        assert not any(found.numbers)
 
 
 def test_a_policy_s_evaluation_has_means_and_intervals_over_its_starts(shipped):

@@ -91,13 +91,15 @@ def _checked(action: Any, shape: tuple[int, ...]) -> np.ndarray:
 class Family:
     """Controllers that a few numbers choose among.
 
-    about: what they do. size: how many numbers for so many actions. bounds: of each. on: see `Simple`.
+    about: what they do. size: how many numbers for so many actions. bounds: of each. on: see `Simple`. cubes: a search
+    draws cube roots of the numbers, since small ones matter most, and tries zeros among the first.
     """
 
     about: str
     size: Callable[[int], int]
     bounds: Callable[[int], list[tuple[float, float]]]
     on: Callable[[np.ndarray, ControlledFlows], Choose]
+    cubes: bool = False
 
 
 def _none(x: np.ndarray, flows: ControlledFlows) -> Choose:
@@ -140,7 +142,9 @@ def _signal(case: Case, flows: ControlledFlows) -> str:
 
 FAMILIES = {
     "none": Family("nothing acts", lambda n: 0, lambda n: [], _none),
-    "constant": Family("each action is held: n numbers", lambda n: n, lambda n: [(-1.0, 1.0)] * n, _constant),
+    "constant": Family(
+        "each action is held: n numbers", lambda n: n, lambda n: [(-1.0, 1.0)] * n, _constant, cubes=True
+    ),
     "harmonic": Family(
         "sines: n amplitudes, one frequency in U / L, n - 1 phases in cycles behind the first",
         lambda n: 2 * n,
@@ -152,6 +156,7 @@ FAMILIES = {
         lambda n: 2 * n,
         lambda n: [(-1.5, 1.5)] * (2 * n),
         _feedback,
+        cubes=True,
     ),
 }
 """Simple controllers by name."""
@@ -216,10 +221,14 @@ def search(
     """
     actions = matrix(simulation.task, len(simulation.chosen.case.actuators)).shape[1]
     family, shared, done, tried = FAMILIES[name], engine.share(simulation), 0, 0
-    bounds = family.bounds(actions)
+    bounds = np.array(family.bounds(actions))
 
-    def scored(x: np.ndarray) -> np.ndarray:
+    def numbers(roots: np.ndarray) -> np.ndarray:
+        return roots * roots * roots if family.cubes else roots
+
+    def scored(roots: np.ndarray) -> np.ndarray:
         nonlocal done, tried
+        x = numbers(roots)
         parts = np.array_split(x.T, min(engine.slots, len(x.T)))
         futures = [[engine.submit(_rewards, shared, k, family, part) for part in parts] for k in _each(simulation)]
         rewards = sum(np.concatenate([future.result() for future in row]) for row in futures) / len(futures)
@@ -229,7 +238,8 @@ def search(
 
     best = scipy.optimize.differential_evolution(
         scored,
-        bounds,
+        np.cbrt(bounds) if family.cubes else bounds,
+        x0=np.zeros(len(bounds)) if family.cubes else None,
         maxiter=rounds,
         popsize=max(8, -(-16 // len(bounds))),
         init="sobol",
@@ -240,7 +250,7 @@ def search(
         tol=0.0,
     )
     report(f"search, {name}", 1.0)
-    return Found(tuple(round(float(value), 4) for value in best.x), -float(best.fun), tried)
+    return Found(tuple(round(float(value), 4) for value in numbers(best.x)), -float(best.fun), tried)
 
 
 def _each(simulation: Any) -> range:

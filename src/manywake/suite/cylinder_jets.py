@@ -26,7 +26,7 @@ CASE = Case(
 
 
 def reduction(now, free):
-    """Drag saved, less half the lift; with a weight of 0.2 two of three seeds kept a biased jet (docs/results.md)."""
+    """Drag saved, less half the lift; with a weight of 0.2 two of two seeds kept a biased jet (docs/results.md)."""
     return free["c_d"] - now["c_d"] - 0.5 * abs(now["c_l"])
 
 
