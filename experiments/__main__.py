@@ -4,7 +4,7 @@ import json
 import shutil
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Any, Literal
@@ -48,6 +48,8 @@ wanted(setup): the trainings of those that have some. BY_PROTOCOL: of those that
 can by that of its released code.
 """
 FIGURES = {module.__name__.rpartition(".")[2].replace("_", "-"): module for module in MODULES}
+COMMITTED = Path(__file__).parent / "results", Path(__file__).parents[1] / "docs" / "figures"
+"""Where the checkout keeps tables and figures."""
 OURS = ("staleness",)
 """Figures that are not the paper's, and so not among all."""
 BY_PROTOCOL = tuple(name for name, module in FIGURES.items() if hasattr(module, "BY_PROTOCOL"))
@@ -59,14 +61,16 @@ Name: Any = Literal[(*FIGURES, "all")]
 class Figure:
     """Rerun an experiment: train what is not trained yet, write its tables, draw its figure from them.
 
-    All are those of the paper's figures; staleness is ours. Trainings are kept in runs/figures, so that an interrupted
-    command goes on where it was; tables go to experiments/results, pictures to docs/figures. What each shows and costs:
-    the head of experiments/NAME.py.
+    All are those of the paper's figures; staleness is ours. Everything goes to runs/figures: trainings, which are kept,
+    so that an interrupted command goes on where it was; tables, in its folder results; figures, in its folder pictures.
+    What each shows and costs: the head of experiments/NAME.py.
     """
 
     name: Annotated[Name, tyro.conf.Positional, tyro.conf.arg(help=ABOUT)]
     replot: bool = False
-    """Draw from the tables alone."""
+    """Draw from tables alone: those of runs/figures, and where it has none those of the checkout."""
+    committed: bool = False
+    """Write the tables and figures that are committed in the checkout, experiments/results and docs/figures."""
     protocol: Literal["paper", "code"] = "paper"
     """The paper's, or that of its released code (linear ramp, its reward), whose files have -code in their names."""
     fresh: bool = False
@@ -78,9 +82,11 @@ class Figure:
     def run(self) -> int:
         """Print the numbers."""
         runs = Path("runs") / ("miniature" if self.miniature else "figures")
-        results, figures = Path(__file__).parent / "results", Path(__file__).parents[1] / "docs" / "figures"
-        if self.miniature:
-            results, figures = runs / "results", runs / "pictures"
+        results, figures = runs / "results", runs / "pictures"
+        if self.committed:
+            results, figures = COMMITTED
+            if self.miniature:
+                raise ValueError("committed: got it with --miniature, whose numbers mean nothing; wanted one of them")
         if self.protocol == "code" and self.name not in (*BY_PROTOCOL, "all"):
             raise ValueError(f"protocol: {self.name} does not depend on it; wanted one of {', '.join(BY_PROTOCOL)}")
         known = BY_PROTOCOL if self.protocol == "code" else tuple(FIGURES)
@@ -94,13 +100,15 @@ class Figure:
             if self.name == "all" and not self.replot:
                 train_all(setup, [FIGURES[name] for name in names])
             for name in names:
-                started = time.perf_counter()
+                started, of = time.perf_counter(), setup
                 if not self.replot:
-                    FIGURES[name].run(setup)
-                FIGURES[name].plot(setup)
-                found[name] = FIGURES[name].summary(setup)
+                    FIGURES[name].run(of)
+                elif not (self.miniature or of.csv(name).exists()):
+                    of = replace(setup, results=COMMITTED[0])
+                FIGURES[name].plot(of)
+                found[name] = FIGURES[name].summary(of)
                 minutes = (time.perf_counter() - started) / 60
-                say(f"{name}: {minutes:.1f} min; {setup.csv(name)}, {setup.png(name)}")
+                say(f"{name}: {minutes:.1f} min; {of.csv(name)}, {of.png(name)}")
         if self.json:
             print(json.dumps(found))
         else:

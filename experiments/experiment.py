@@ -19,8 +19,8 @@ Table = dict[str, np.ndarray]
 class Setup:
     """Where an experiment keeps what it makes, and how large it is.
 
-    runs: a folder per training. results: the tables, which are committed. figures: the pictures. protocol: paper, or
-    that of its released code, code. miniature: everything in seconds, with numbers that mean nothing.
+    runs: a folder per training. results: the tables. figures: the pictures. protocol: paper, or that of its released
+    code, code. miniature: everything in seconds, with numbers that mean nothing.
     """
 
     runs: Path

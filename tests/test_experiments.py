@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments import __main__ as commands
 from experiments import controlled_wake, experiment, learning_curves, overparallel, synced, trainings
 from experiments.__main__ import BY_PROTOCOL, FIGURES, Figure, train_all
 from manywake.cli import main
@@ -228,6 +229,28 @@ def test_the_command_draws_in_miniature_and_says_where_experiments_are_not(tmp_p
     assert json.loads(done.stdout.splitlines()[-1])["timescales"]["steps_to_5_per_cent"] == 29
     with pytest.raises(ValueError, match="timescales does not depend on it"):
         Figure("timescales", protocol="code").run()
+    with pytest.raises(ValueError, match="committed: got it with --miniature"):
+        Figure("timescales", committed=True, miniature=True).run()
     monkeypatch.setattr(main, "__file__", str(tmp_path / "site-packages" / "manywake" / "cli" / "main.py"))
     with pytest.raises(ValueError, match="experiments are of the source checkout, not of the package"):
         main._hand_over("figure", ["timescales"])
+
+
+def test_the_checkout_s_tables_and_figures_are_written_when_asked_for_and_never_else(tmp_path, monkeypatch, capsys):
+    checkout = tmp_path / "results", tmp_path / "figures"
+    monkeypatch.setattr(commands, "COMMITTED", checkout)
+    monkeypatch.chdir(tmp_path)
+    Figure("timescales", committed=True).run()
+    published = {path: path.read_bytes() for folder in checkout for path in folder.iterdir()}
+    assert {path.name for path in published} == {"timescales.csv", "timescales.png"}
+    for path in checkout[1].iterdir():
+        path.write_bytes(b"as committed")
+    Figure("timescales", replot=True).run()  # from the checkout's table, as there is no other
+    own = tmp_path / "runs" / "figures"
+    assert not (own / "results").exists()
+    assert (own / "pictures" / "timescales.png").read_bytes() == published[checkout[1] / "timescales.png"]
+    Figure("timescales").run()
+    assert (own / "results" / "timescales.csv").read_bytes() == published[checkout[0] / "timescales.csv"]
+    (checkout[0] / "timescales.csv").unlink()
+    Figure("timescales", replot=True).run()  # from its own
+    assert (checkout[1] / "timescales.png").read_bytes() == b"as committed" and not list(checkout[0].iterdir())

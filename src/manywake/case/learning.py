@@ -57,7 +57,7 @@ class Learning:
     """Updates in a row without a better mean reward of an update's episodes, after which training stops by itself;
     never when not given."""
     hidden: tuple[int, ...] = (256, 256)
-    """ReLU layers of policy and critic each."""
+    """Units of the hidden layers, of policy and critic each; ReLU between them."""
     learner_threads: int = 1
     """Threads of the learner: a constant and not the core count, because the sums of torch depend on it. At these sizes
     two that sleep while they wait for each other take longer than one."""

@@ -16,6 +16,7 @@ class Sensor:
     name: str
     noise: float = field(default=0.0, kw_only=True)
     """Root mean square of the error that is added to every value, in the sensor's unit."""
+    unit: ClassVar[str]
 
 
 @dataclass(frozen=True)
@@ -27,15 +28,17 @@ class Probes(Sensor):
 
 
 class Pressure(Probes):
-    """Pressure at points, in units of rho U^2."""
+    """Pressure at points, divided by the density, in the case's unit of velocity squared."""
 
     field = "pressure"
+    unit = "the case's unit of velocity squared"
 
 
 class Velocity(Probes):
     """Velocity at points, both components of each."""
 
     field = "velocity"
+    unit = "the case's unit of velocity"
 
 
 @dataclass(frozen=True)
@@ -48,11 +51,14 @@ class Shear(Sensor):
 
     on: str
     """A side of the domain, a body, or a part of one."""
+    unit = "U"
 
 
 @dataclass(frozen=True)
 class Energy(Sensor):
     """What the flow departs from the steady one: 1/2 of the integral of |u - u_steady|^2, in the case's units."""
+
+    unit = "the case's units of velocity times length, squared"
 
 
 Integral = Shear | Energy

@@ -102,6 +102,7 @@ class ExportPolicy:
     """
 
     run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    """Run folder, as manywake train left it."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE")] = None
     """The file; default RUN/policy.onnx."""
     json: Json = False

@@ -82,6 +82,7 @@ class OnRun:
     """A command on a run."""
 
     run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    """Run folder, as manywake train left it."""
     _: KW_ONLY
     case: Path | None = None
     """The case file of the run, if it was a user's own; its hash is compared."""

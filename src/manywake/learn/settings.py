@@ -37,11 +37,11 @@ class Collection:
     time_limit: float | None = None
     """Seconds that a block may take until its worker is replaced; worked out from what an episode takes."""
     episode_seconds: float = 5.0
-    """Virtual clock: mean duration of an episode."""
+    """Virtual clock: mean duration of an episode, in seconds."""
     episode_spread: float = 0.005
     """Virtual clock: standard deviation of the durations, relative to the mean."""
     update_seconds: float = 0.3
-    """Virtual clock: duration of an update."""
+    """Virtual clock: duration of an update, in seconds."""
 
     def __post_init__(self) -> None:
         if self.newest_policy == "action" and (self.schedule, self.clock) != ("unsynced", "virtual"):

@@ -272,6 +272,7 @@ def settings(definition: Definition, protocol: str = "default") -> dict[str, Set
     found["reward"] = Setting(reward, tuple(definition.rewards), "What is rewarded, of what the case's file has.")
     laws, found["starts"] = tuple(_laws(definition, task)), replace(found["starts"], type=tasks.STARTS)
     found["law"] = replace(found["law"], value=type(task.law).__name__.lower(), type=laws)
+    found["interval"] = replace(found["interval"], help=f"{found['interval'].help} {_clock(definition.case)}")
     return found
 
 
@@ -281,19 +282,29 @@ def case_settings(case: Case) -> dict[str, Setting]:
     found = _fields(case, "", ("reynolds", "spin_up", "time_step", "scheme"))
     if case.mesh is None:
         found |= {name: size for name, size in _fields(case.sizes, "sizes.").items() if name != "sizes.near"}
-    found["time_step"] = replace(found["time_step"], value=case.dt, type=float)
+    step, scales = found["time_step"], f"L is {case.scales.length:g} and U {case.scales.velocity:g}"
+    found["time_step"] = replace(step, value=case.dt, type=float, help=f"{step.help} {_clock(case)}")
     found["scheme"] = replace(found["scheme"], value=case.scheme.name, type=tuple(SCHEMES))
     for a in case.actuators:
-        found[f"limit.{a.on}"] = Setting(a.limit, float, f"Largest amplitude of {a.on} ({a.unit}).")
+        found[f"limit.{a.on}"] = Setting(
+            a.limit, float, f"Largest amplitude of {a.on} ({a.unit}), in the case's units, in which {scales}."
+        )
     if case.actuators:
-        found["limit"] = Setting(None, float | None, "Largest amplitude of every actuator.")
+        found["limit"] = Setting(None, float | None, "Largest amplitude of every actuator, in its unit.")
     for s in case.sensors:
-        found[f"noise.{s.name}"] = Setting(s.noise, float, f"Root mean square of the error of {s.name}, in its unit.")
+        found[f"noise.{s.name}"] = Setting(
+            s.noise, float, f"Root mean square of the error of every value of {s.name}, in {s.unit}."
+        )
     for s in (sensor for sensor in case.sensors if isinstance(sensor, Probes)):
         found[f"points.{s.name}"] = Setting(
             s.points, points, f"Points (x, y) of the sensor {s.name}, in the case's unit of length."
         )
     return found
+
+
+def _clock(case: Case) -> str:
+    """Say how a case's unit of time goes with its scales."""
+    return f"In that unit L/U is {case.convective_time:g}."
 
 
 def _fields(owner: Any, prefix: str, chosen: tuple[str, ...] = ()) -> dict[str, Setting]:
