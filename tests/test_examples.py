@@ -251,8 +251,9 @@ def solvers_under(ancestor: int) -> list[int]:
     return [solver for solver in solvers if under(solver)]
 
 
-def test_the_command_of_the_readme_trains_and_leaves_no_solver_when_it_is_killed(tmp_path):
-    command = next(line for line in (FOLDER / "README.md").read_text().splitlines() if "manywake train" in line)
+def test_the_command_of_the_page_trains_and_leaves_no_solver_when_it_is_killed(tmp_path):
+    lines = (ROOT / "docs" / "own-solver.md").read_text().splitlines()
+    command = next(line for line in lines if line.startswith("manywake train"))
     words = command.replace("--episodes 200", "--episodes 100000").split()[1:]
     words += ["--workers", "2", "--learner-threads", "1", "--run", str(tmp_path / "run")]
     with open(tmp_path / "log", "w") as log:

@@ -1,4 +1,4 @@
-"""A flow of the user's own works like a shipped one: docs/own-flow.md as written, from both doors."""
+"""A flow of the user's own works like a shipped one: the files of the pages as written, from both doors."""
 
 import json
 import os
@@ -24,15 +24,16 @@ from manywake.learn.settings import Collection
 from manywake.machine import compile
 from manywake.suite import load
 
-PAGE = Path(__file__).parents[1] / "docs" / "own-flow.md"
+PAGES = [Path(__file__).parents[1] / "docs" / name for name in ("tutorial.md", "own-flow.md")]
 EXAMPLES = Path(__file__).parents[1] / "examples" / "own_flow"
 BRIEF = {"spin_up": 60.0, "actions": 2}
 SMALL = ["--episodes", "2", "--update-period", "2", "--hidden", "8", "--spin-up", "60", "--actions", "2"]
 
 
 def blocks() -> dict[str, str]:
-    """The files of the page by their names."""
-    return dict(re.findall(r"```python\n# (\w+\.py)\n(.*?)```", PAGE.read_text(), re.DOTALL))
+    """The files of the pages by their names."""
+    text = "".join(page.read_text() for page in PAGES)
+    return dict(re.findall(r"```python\n# (\w+\.py)\n(.*?)```", text, re.DOTALL))
 
 
 def command(folder: Path, *words: str) -> subprocess.CompletedProcess:
@@ -43,7 +44,7 @@ def command(folder: Path, *words: str) -> subprocess.CompletedProcess:
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
-    """A folder with the page's files, and a cache of its own."""
+    """A folder with the pages' files, and a cache of its own."""
     folder = tmp_path_factory.mktemp("own")
     for name, text in blocks().items():
         (folder / name).write_text(text)
@@ -59,8 +60,8 @@ def page(tmp_path_factory):
             os.environ[name] = value
 
 
-def test_the_page_has_files_of_at_most_forty_lines():
-    assert set(blocks()) == {"turning.py", "side_by_side.py"}
+def test_the_pages_have_files_of_at_most_forty_lines():
+    assert {"turning.py", "gentle.py", "slower.py", "side_by_side.py"} <= set(blocks())
     assert all(len(text.splitlines()) <= 40 for text in blocks().values())
 
 

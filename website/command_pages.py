@@ -1,7 +1,7 @@
 """The page of commands and their options, made of the command line's own parser."""
 
 import argparse
-import re
+import html
 import warnings
 from collections.abc import Iterator
 from typing import Any
@@ -76,4 +76,6 @@ def _name(action: argparse.Action) -> str:
 
 
 def _joined(text: str) -> str:
-    return " ".join(re.sub(r"(?<=\w)<|>(?=\w)", "", text).split())
+    """Return a text of the parser as markdown: its percent signs are doubled, its brackets are no tags."""
+    plain = text.replace("%%", "%").replace("(default: None)", "")
+    return html.escape(" ".join(plain.split()), quote=False)

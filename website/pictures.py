@@ -1,4 +1,4 @@
-"""The pictures and films of the flows' pages: `python -m website.pictures [NAME ...]` makes those that are named, or all.
+"""The pictures and films of the flows' pages: `python -m website.pictures [NAME ...]`, all where none is named.
 
 A flow with a policy that ships gets a film, `docs/flows/NAME.mp4`, at most 50 L/U long; every flow a picture.
 """

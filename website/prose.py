@@ -51,7 +51,8 @@ def long(path: Path) -> Iterator[str]:
         for part, limit in ((text, CELL),) if cell else ((each, SENTENCE) for each in sentences(text)):
             if (count := words(part)) > limit:
                 where = f"{path.relative_to(ROOT)}:{token.map[0] + 1 if token.map else '?'}"
-                yield f"{where}: {count} words, at most {limit} {'in a cell' if cell else 'a sentence'}: {part[:90]} ..."
+                what = "in a cell" if cell else "a sentence"
+                yield f"{where}: {count} words, at most {limit} {what}: {part[:90]} ..."
 
 
 def main() -> None:
