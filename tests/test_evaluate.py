@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from manywake.flow import baseline
-from manywake.learn import evaluate
+from manywake.flow import baseline, store
+from manywake.learn import controllers, evaluate
 from manywake.learn.controllers import Learnt
 from manywake.learn.engine import Threads
 from manywake.learn.evaluate import Trajectory
@@ -46,6 +46,16 @@ def test_the_steady_flow_has_all_the_shedding_drag_removed(shipped):
     assert control.share_of_shedding_drag == pytest.approx(1.0)
     # 2.942 against 3.196; half a thousandth of either is a tenth of a point of their difference
     assert control.drag_reduction == pytest.approx(0.0795, abs=0.001)
+
+
+def test_a_flow_without_bodies_is_judged_by_what_it_measures():
+    chosen = load.choose("step", actions=2)
+    flow = store.flow(chosen.case)
+    part = evaluate.play(flow, chosen.task, controllers.simple("none", (), 1), [flow.baseline.start], 2)
+    found = evaluate.control(flow.baseline, np.array([0.1]), part, 0)
+    assert set(found.measured) == {"gauge", "energy"}
+    assert found.measured["energy"] == pytest.approx(part.series["energy"].mean())
+    assert found.reward == pytest.approx(1 - found.measured["energy"] / flow.baseline.free["energy"])
 
 
 def test_evaluation_windows_and_engine_do_not_change_the_numbers(shipped):

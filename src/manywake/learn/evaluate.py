@@ -260,7 +260,7 @@ def control(base: Baseline, limits: np.ndarray, part: Trajectory, column: int) -
         measured={
             name: float(np.mean(part.series[name][:, column]))
             for name in base.free
-            if name.partition(".")[0] not in (*KINDS, "power")
+            if name in part.series and name.partition(".")[0] not in (*KINDS, "power")
         },
     )
 
