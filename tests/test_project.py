@@ -4,6 +4,8 @@ import re
 import tomllib
 from pathlib import Path
 
+from .slow.test_mutations import DEFECTS
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -37,3 +39,7 @@ def test_every_file_that_the_guide_for_contributors_names_is_there():
     named = [name for name in named if "NAME" not in name]
     missing = [name for name in named if not ((ROOT / name).exists() or (ROOT / "src/manywake" / name).exists())]
     assert missing == []
+
+
+def test_every_defect_on_purpose_still_has_its_place():
+    assert [d.what for d in DEFECTS if text(f"src/manywake/{d.file}").count(d.right) != 1] == []

@@ -99,8 +99,8 @@ DEFECTS = (
     Defect(
         "a confidence interval of one side",
         "flow/statistics.py",
-        "stats.t.ppf(0.975, len(means) - 1)",
-        "stats.t.ppf(0.95, len(means) - 1)",
+        "stdtrit(len(values) - 1, 0.975)",
+        "stdtrit(len(values) - 1, 0.95)",
         "baseline",
     ),
     # ---- task
@@ -114,8 +114,8 @@ DEFECTS = (
     Defect(
         "a history with the newest first",
         "env/control.py",
-        "self._frames = np.concatenate([self._frames[:, 1:], seen], axis=1)",
-        "self._frames = np.concatenate([seen, self._frames[:, :-1]], axis=1)",
+        "self._frames = np.concatenate([self._frames[:, 1:], newest], axis=1)",
+        "self._frames = np.concatenate([newest, self._frames[:, :-1]], axis=1)",
         "task",
     ),
     Defect(
