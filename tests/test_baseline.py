@@ -5,10 +5,11 @@ import json
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from manywake.case import Pressure
 from manywake.case.describe import flow_digest
-from manywake.flow import baseline, problem, spinup, store
+from manywake.flow import baseline, problem, spinup, statistics, store
 from manywake.flow import batch as batches
 from manywake.flow.batch import FlowBatch
 from manywake.suite import load
@@ -190,3 +191,9 @@ def test_kicked_rest_is_at_rest_but_for_the_gust(ops):
     assert 0.2 < start.u[:, 1].max() <= 0.3
     assert not start.u[ops.velocity_order[ops.free :]].any()
     assert problem.boundary_flux(ops.space, ops.space.facets("cylinder"), start.u)[0] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_an_interval_of_95_per_cent_is_two_sided():
+    values = np.random.default_rng(1).normal(size=7)
+    low, high = stats.t.interval(0.95, 6, loc=values.mean(), scale=stats.sem(values))
+    assert statistics.half_width(values) == pytest.approx((high - low) / 2, rel=1e-9)

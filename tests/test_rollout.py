@@ -12,7 +12,7 @@ from manywake.learn.blocks import Layout, Planned
 from manywake.learn.collect import Collector
 from manywake.learn.engine import Processes, Threads
 from manywake.learn.flows import Flows
-from manywake.learn.rollout import context
+from manywake.learn.rollout import context, seed
 from manywake.suite import load
 
 ACTIONS = 3
@@ -70,6 +70,12 @@ def test_engines_and_blocks_give_the_same_episodes(flows, policy, alone, process
         collector.seen = arrived.extend
         assert [physics(episode) for episode in collector.collect(policy)] == alone
         assert sorted(episode.index for episode in arrived) == [0, 1, 2, 3, 4]
+
+
+def test_an_episode_s_seed_is_that_of_its_number_among_the_children_of_the_run_s():
+    children = np.random.SeedSequence(7).spawn(4)
+    assert [seed(7, index) for index in range(4)] == [int(child.generate_state(1)[0]) for child in children]
+    assert context(7, 3, 2, 1).seed == seed(7, 3)
 
 
 def test_another_episode_or_run_seed_explores_differently(flows, policy, alone):

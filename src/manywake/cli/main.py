@@ -3,6 +3,7 @@
 import os
 import sys
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import Any, Union
 
@@ -10,8 +11,10 @@ import tyro
 
 from manywake.cli import show
 from manywake.cli.comparing import Compare
+from manywake.cli.doctor import Doctor
 from manywake.cli.exports import Export, ExportCase, ExportPolicy, Movie, MovieCase
 from manywake.cli.flow import Baseline, Validate, command, first
+from manywake.cli.playing import Play
 from manywake.cli.runs import Evaluate, EvaluateController, GivenLearning, Replay, Resume, Search, Train
 from manywake.suite import load
 
@@ -57,7 +60,7 @@ def _commands(words: list[str]) -> Any:
     commands: tuple[Any, ...] = (
         command(Validate, definition, case=asked.case),
         command(Baseline, definition, case=asked.case),
-        *(Resume, Replay, Compare, ExportPolicy, Figure, Bench),
+        *(Resume, Replay, Compare, ExportPolicy, Doctor, Play, Figure, Bench),
     )
     if not _of_no_run(words):
         commands = (*commands, Evaluate, Export, Movie)
@@ -76,7 +79,10 @@ def _run() -> int:
     words = sys.argv[1:]
     if words[:1] and words[0] in PACKAGES:
         _hand_over(words[0], words[1:])
-    about = "Active flow control by deep reinforcement learning, on many simulations at once."
+    if words == ["--version"]:
+        print(f"manywake {metadata.version('manywake')}")
+        return 0
+    about = "Active flow control by deep reinforcement learning, on many simulations at once. --version: which this is."
     return tyro.cli(_commands(words), prog="manywake", description=about).run()
 
 

@@ -1,4 +1,4 @@
-"""The vorticity of a flow as pixels, for eyes: points are located once, then a picture is two sparse products."""
+"""Fields of a flow as pixels, for eyes: points are located once, then a picture is two sparse products."""
 
 from dataclasses import dataclass
 
@@ -67,8 +67,9 @@ class Raster:
         element, corners = _located(space, places)
         there = element >= 0
         self.fluid = there.reshape(view.height, view.width)
-        shapes = quadratic(corners[there]).astype(np.float32)
-        self._interpolate = gathering(space.nodes[element[there]], shapes, len(space.x))
+        nodes, corners = space.nodes[element[there]], corners[there]
+        self._interpolate = gathering(nodes, quadratic(corners).astype(np.float32), len(space.x))
+        self._interpolate_linear = gathering(nodes[:, :3], corners.astype(np.float32), len(space.mesh.points))
         self._slopes = _slopes(space)
 
     def vorticity(self, state: Start) -> np.ndarray:
@@ -76,8 +77,22 @@ class Raster:
 
         Its values at the nodes are means over the triangles there.
         """
-        picture, u = np.zeros(self.fluid.shape, np.float32), state.u.astype(np.float32)
-        picture[self.fluid] = self._interpolate @ (self._slopes[0] @ u[:, 1] - self._slopes[1] @ u[:, 0])
+        u = state.u.astype(np.float32)
+        return self._placed(self._interpolate @ (self._slopes[0] @ u[:, 1] - self._slopes[1] @ u[:, 0]))
+
+    def speed(self, state: Start) -> np.ndarray:
+        """Return |u|, as `vorticity`."""
+        u, v = (self._interpolate @ state.u.astype(np.float32)).T
+        return self._placed(np.hypot(u, v))
+
+    def pressure(self, state: Start) -> np.ndarray:
+        """Return p, as `vorticity`."""
+        return self._placed(self._interpolate_linear @ state.p.astype(np.float32))
+
+    def _placed(self, values: np.ndarray) -> np.ndarray:
+        """Return values (k,) of the pixels in the fluid as a picture, 0 elsewhere."""
+        picture = np.zeros(self.fluid.shape, np.float32)
+        picture[self.fluid] = values
         return picture
 
 

@@ -58,4 +58,5 @@ TASK = Task(
     law=Exponential(0.6321, per=0.005),  # HydroGym's lag of 0.005
     starts="any",
 )
+CONTROLLERS = {"constant": (-0.0179,), "harmonic": (0.5346, 0.2999), "feedback": (0.0059, 0.0308)}
 REFERENCES = (Twin(("energy mean", "gauge mean", "gauge rms"), tolerance=0.05, duration=80.0, settle=40.0),)
