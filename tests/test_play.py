@@ -511,17 +511,11 @@ def test_a_recording_gives_back_every_frame(simulation):
     assert about["numbers"]["policy"][0][DRAG] is None
 
 
-def test_the_page_of_the_docs_is_the_page_that_ships():
-    static, demo = Path(server.__file__).with_name("static"), Path(__file__).parents[1] / "docs" / "demo"
-    if not demo.exists():
-        pytest.skip("docs/demo is of the source checkout")
-    for path in static.iterdir():
-        shipped = path.read_text()
-        if path.name == "index.html":
-            shipped = shipped.replace('data-source="live"', 'data-source="demo"')
-        assert (demo / path.name).read_text() == shipped, f"{path.name}: run python -m manywake.play.record docs/demo"
-    for each in json.loads((demo / "cases.json").read_text()):
-        assert (demo / f"{each['name']}.wake").stat().st_size <= record.LARGEST
+def test_the_recordings_of_the_docs_are_small():
+    demo = Path(__file__).parents[1] / "docs" / "demo"
+    names = [each["name"] for each in json.loads((demo / "cases.json").read_text())]
+    assert names == list(record.CASES)
+    assert all((demo / f"{name}.wake").stat().st_size <= record.LARGEST for name in names)
 
 
 # ---- the command

@@ -7,6 +7,7 @@ import latex2mathml.converter
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
+from manywake.play import record
 from manywake.suite import load
 from website import command_pages, flow_pages
 
@@ -16,11 +17,13 @@ ENTITIES = {"&lt;": "<", "&gt;": ">", "&amp;": "&"}
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages that are made of the code."""
+    """Add the pages that are made of the code, and the viewer of the recorded episodes in docs/demo."""
     made = {"commands.md": command_pages.page(), "flows/index.md": flow_pages.index()}
     made |= {f"flows/{name}.md": flow_pages.page(name) for name in load.names()}
+    made |= {f"demo/{name}": text for name, text in record.viewer().items()}
     for path, text in made.items():
-        files.append(File.generated(config, path, content=text))
+        if files.get_file_from_path(path) is None:
+            files.append(File.generated(config, path, content=text))
     return files
 
 

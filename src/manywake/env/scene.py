@@ -131,7 +131,7 @@ class Scene:
         if isinstance(given, BodyForce):
             ring = given.at + given.radius * np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 60)])
             draw.line(self._fine(ring), fill=255, width=thick // 2)
-        for points in _lines(self.case, given):
+        for points in lines(self.case, given):
             draw.line(self._fine(points), fill=255, width=thick, joint="curve")
 
     def _dots(self, draw: ImageDraw.ImageDraw) -> None:
@@ -145,8 +145,8 @@ class Scene:
                         draw.line(self._fine(np.array([side.start, side.end])), fill=255, width=4 * FINE)
 
 
-def _lines(case: Case, given: Input) -> list[np.ndarray]:
-    """Return the lines, (k, 2) each, of the boundary that an input moves."""
+def lines(case: Case, given: Input) -> list[np.ndarray]:
+    """Return the lines, (k, 2) each, of the boundary that an input moves; none of what acts inside the fluid."""
     body = case.body(given.on)
     if body is None:
         return [np.array([side.start, side.end]) for side in case.domain.sides() if side.name == given.on]

@@ -15,7 +15,7 @@ from manywake.case.case import Case
 from manywake.case.geometry import outline
 from manywake.case.inputs import BodyForce, Input
 from manywake.case.sensors import Probes
-from manywake.env.scene import STRONGEST
+from manywake.env.scene import STRONGEST, lines
 from manywake.flow.batch import Start
 from manywake.flow.raster import Raster, window
 from manywake.flow.store import Flow
@@ -103,13 +103,7 @@ def _driven(case: Case, given: Input) -> list[np.ndarray]:
     if isinstance(given, BodyForce):
         angles = np.linspace(0, 2 * np.pi, 60)
         return [given.at + given.radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)]
-    body = case.body(given.on)
-    if body is None:
-        return [np.array([side.start, side.end]) for side in case.domain.sides() if side.name == given.on]
-    if given.on == body.name:
-        rim = outline(body, count=120)
-        return [np.concatenate([rim, rim[:1]])]
-    return [body.point(np.linspace(p.start, p.end, 12)) for p in body.pieces() if p.name == given.on]
+    return lines(case, given)
 
 
 def _plain(numbers: Any, unit: float) -> list:

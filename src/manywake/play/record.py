@@ -6,7 +6,6 @@ other, row by row from the top. Levels are halved to 7 bits, and in each row kep
 """
 
 import json
-import shutil
 import struct
 import sys
 import zlib
@@ -51,11 +50,16 @@ def main(folder: Path) -> None:
 def page(folder: Path) -> None:
     """Write the page as it is where no server runs."""
     folder.mkdir(parents=True, exist_ok=True)
+    for name, content in viewer().items():
+        (folder / name).write_text(content)
+
+
+def viewer() -> dict[str, str]:
+    """Return the files of that page by name."""
     static = Path(str(files("manywake.play") / "static"))
-    for path in static.iterdir():
-        shutil.copyfile(path, folder / path.name)
-    live = (static / "index.html").read_text()
-    (folder / "index.html").write_text(live.replace('data-source="live"', 'data-source="demo"'))
+    found = {path.name: path.read_text() for path in static.iterdir()}
+    found["index.html"] = found["index.html"].replace('data-source="live"', 'data-source="demo"')
+    return found
 
 
 def recording(simulation: flows.Flows, length: float, width: int) -> bytes:
