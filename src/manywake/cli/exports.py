@@ -139,7 +139,8 @@ def _filmed(simulation: flows.Flows, controller: Controller, path: Path, actions
         if each.diverged:
             say(f"{each.path}: the controlled flow blew up, there the film ends")
     files, blown = [str(each.path) for each in found], any(each.diverged for each in found)
-    show.numbers({"films": files, "frames": sum(each.frames for each in found), "blew up": blown}, as_json)
+    films = files if as_json else ", ".join(files)
+    show.numbers({"films": films, "frames": sum(each.frames for each in found), "blew up": blown}, as_json)
     return 0
 
 
