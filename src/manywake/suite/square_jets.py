@@ -37,7 +37,7 @@ REWARDS = {"reduction": reduction, "power": power}
 TASK = Task(0.5, 200, reduction, observe=("wake", "amplitudes"), mixing=PAIR, law=Linear())
 LEARNING = Learning()
 # manywake search --rounds 4; policies/square-jets.npz: manywake train --seed 0
-CONTROLLERS = {"constant": (0.0002,), "harmonic": (0.1407, 0.1288)}
+CONTROLLERS = {"constant": (0.0,), "harmonic": (0.1407, 0.1288), "feedback": (-0.1029, -0.0472)}
 PROTOCOLS = {"base": (replace(TASK, observe=("base", "amplitudes")), LEARNING)}
 
 RELEASED = "Xia et al. 2024, released code"
