@@ -152,6 +152,28 @@ def test_an_idle_worker_that_was_killed_is_replaced(processes):
     assert results[-3:] == [6, 8, 10]
 
 
+def test_a_task_that_comes_while_its_idle_worker_is_found_dead_is_not_forgotten():
+    engine = Processes(1)
+    try:
+        victim = engine.submit(pid).result(60)
+        manager = engine._free[0]._pool_manager
+        usual = manager.schedule
+
+        def late(task):
+            os.kill(victim, signal.SIGKILL)
+            while manager.context.alive:  # until the pool has found its worker dead, and ended all tasks it knew of
+                time.sleep(0.01)
+            time.sleep(0.1)
+            usual(task)
+
+        manager.schedule = late
+        with pytest.raises(WorkerDied):
+            engine.submit(double, 3).result(30)
+        assert engine.submit(double, 4).result(60) == 8
+    finally:
+        engine.close()
+
+
 def test_a_worker_that_hangs_past_its_time_is_told_and_ended(processes):
     worker = processes.submit(pid).result(60)
     futures = [processes.submit(hang, timeout=0.5) for _ in range(2)]

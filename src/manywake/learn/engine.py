@@ -10,6 +10,7 @@ import shutil
 import tempfile
 import threading
 import weakref
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import lru_cache, partial
@@ -91,6 +92,7 @@ class Processes:
         self._lock, self._closed = threading.Lock(), False
         self._free = [self._pool() for _ in range(slots)]
         self._pools = set(self._free)
+        self._under_way: dict[ProcessPool, Future] = {}
         for pool in self._free:
             pool.schedule(int)  # a pool starts its worker with its first task: let all of them start together
 
@@ -101,6 +103,9 @@ class Processes:
         workers = pool._pool_manager.worker_manager
         # pebble takes a worker that ends with code 0 for one that was told to; ours never are
         workers.inspect_workers = partial(_ended, workers.workers)  # type: ignore[method-assign]
+        # and it forgets a task that it takes up while it finds that its worker has died idle
+        manager = pool._pool_manager
+        manager.handle_broken_pool = partial(self._broken, pool, manager.handle_broken_pool)  # type: ignore[method-assign]
         return pool
 
     def share(self, value: Any) -> Any:
@@ -127,12 +132,32 @@ class Processes:
                     self._free.append(self._pool())
                     self._pools.update(self._free)
                 pool = self._free.pop()
+                self._under_way[pool] = outer
             try:
                 inner = pool.schedule(call, args=[fn, *args], timeout=timeout)
             except RuntimeError:  # its worker died while it had nothing to do
+                if not self._ends(pool):
+                    return outer
                 self._drop(pool)
         inner.add_done_callback(lambda done: self._done(pool, done, outer))
         return outer
+
+    def _ends(self, pool: "ProcessPool") -> bool:
+        """Return whether a pool's task was still under way; from now on it is not."""
+        with self._lock:
+            return self._under_way.pop(pool, None) is not None
+
+    def _broken(
+        self, pool: "ProcessPool", usual: Callable[[BrokenProcessPool], None], error: BrokenProcessPool
+    ) -> None:
+        """End what a broken pool has under way, whether it knows of it or not."""
+        usual(error)
+        with self._lock:
+            outer = self._under_way.pop(pool, None)
+        if outer is not None:
+            if not self._closed:
+                self._drop(pool)
+            outer.set_exception(_told_apart(error))
 
     def _drop(self, pool: "ProcessPool") -> None:
         with self._lock:
@@ -140,6 +165,8 @@ class Processes:
         threading.Thread(target=_stop, args=[pool], daemon=True).start()
 
     def _done(self, pool: "ProcessPool", inner: Future, outer: Future) -> None:
+        if not self._ends(pool):
+            return
         error = WorkerDied("the engine was closed") if inner.cancelled() else _told_apart(inner.exception())
         with self._lock:
             keep = len(self._free) < self.slots and not isinstance(error, WorkerDied | TimedOut)
