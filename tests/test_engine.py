@@ -7,6 +7,7 @@ import sys
 import tempfile
 import textwrap
 import time
+from multiprocessing import forkserver
 from pathlib import Path
 
 import pytest
@@ -265,6 +266,25 @@ def test_a_killed_fork_server_loses_what_was_under_way_and_no_more(processes):
         with pytest.raises(WorkerDied):
             future.result(60)
     assert processes.submit(double, shared).result(60) == 82
+
+
+def test_a_fork_server_that_is_killed_while_it_starts_a_worker_costs_nothing(processes, monkeypatch):
+    server, usual, killed = processes.submit(os.getppid).result(60), forkserver.read_signed, []
+
+    def after_a_kill(connected):
+        if not killed:
+            killed.append(server)
+            os.kill(server, signal.SIGKILL)
+        return usual(connected)
+
+    monkeypatch.setattr(forkserver, "read_signed", after_a_kill)
+    os.kill(server, signal.SIGSTOP)  # so that it answers nobody
+    engine = Processes(2)
+    try:
+        assert [engine.submit(double, k).result(60) for k in range(4)] == [0, 2, 4, 6]
+    finally:
+        engine.close()
+    assert killed
 
 
 def test_a_full_disk_is_named_by_the_folder_it_is_in(tmp_path, temporary):

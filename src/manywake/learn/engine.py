@@ -93,8 +93,12 @@ class Processes:
         self._free = [self._pool() for _ in range(slots)]
         self._pools = set(self._free)
         self._under_way: dict[ProcessPool, Future] = {}
-        for pool in self._free:
-            pool.schedule(int)  # a pool starts its worker with its first task: let all of them start together
+        for pool in tuple(self._free):
+            try:
+                pool.schedule(int)  # a pool starts its worker with its first task: let all of them start together
+            except RuntimeError:  # the server that forks it was killed just now
+                self._free.remove(pool)
+                self._drop(pool)
 
     def _pool(self) -> "ProcessPool":
         from pebble import ProcessPool
