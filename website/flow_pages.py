@@ -214,7 +214,7 @@ def _observed(case: Case, task: Task) -> list[str]:
     return [
         "## What is observed",
         "",
-        f"`Box(-inf, inf, ({at * task.history},), float32)`, as it is at the end of an action.{also}",
+        f"`Box(-inf, inf, ({at * task.history},), float32)`. Sensors are read at the end of an action.{also}",
         "",
         *_table(["index", "name", "what", "unit"], rows),
     ]
@@ -233,7 +233,7 @@ def _sensor(sensor: Sensor) -> tuple[str, str]:
 def _observed_reading(name: str) -> tuple[str, str]:
     if name == "amplitudes":
         return "amplitudes of all actuators", "their limits"
-    return f"{_reading(name)}, as it is now", "2F / (ρ U² L)" if name.startswith("c_") else "coefficient"
+    return f"{_reading(name)}, mean over the last action", "2F / (ρ U² L)" if name.startswith("c_") else "coefficient"
 
 
 def _rewarded(definition: Definition) -> list[str]:
