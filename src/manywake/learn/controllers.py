@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-import scipy.optimize
 
 from manywake.case.case import Case
 from manywake.case.task import matrix
@@ -219,6 +218,8 @@ def search(
     simulation: `flows.Flows`. A round plays a candidate for each lane, eight for a number and at least sixteen; where
     there are several Reynolds numbers each plays at all of them.
     """
+    from scipy.optimize import differential_evolution
+
     actions = matrix(simulation.task, len(simulation.chosen.case.actuators)).shape[1]
     family, shared, done, tried = FAMILIES[name], engine.share(simulation), 0, 0
     bounds = np.array(family.bounds(actions))
@@ -236,7 +237,7 @@ def search(
         report(f"search, {name}", min(done / (rounds + 1), 1.0))
         return -np.nan_to_num(rewards, nan=-1e6)
 
-    best = scipy.optimize.differential_evolution(
+    best = differential_evolution(
         scored,
         np.cbrt(bounds) if family.cubes else bounds,
         x0=np.zeros(len(bounds)) if family.cubes else None,
