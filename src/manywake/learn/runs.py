@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, TypedDict, get_type_hints
 
 from filelock import FileLock, Timeout
-from typeguard import TypeCheckError, check_type
 
 from manywake.case.learning import Learning
 from manywake.learn import policy as policies
@@ -107,6 +106,8 @@ class Run:
 
 def checked(value: Any, kind: Any, path: Path) -> Any:
     """Return what JSON gave if it is of a type; ValueError with the file it is from and what is amiss."""
+    from typeguard import TypeCheckError, check_type  # it takes a tenth of a second to load
+
     try:
         return check_type(value, kind)
     except TypeCheckError as error:
