@@ -88,6 +88,7 @@ class Processes:
 
     def __init__(self, slots: int):
         self.slots = slots
+        _context()  # first the server: it removes what is left of this process's folder where that is killed
         self._folder = tempfile.mkdtemp(dir=room.folder())
         self._lock, self._closed = threading.Lock(), False
         self._free = [self._pool() for _ in range(slots)]
@@ -140,25 +141,23 @@ class Processes:
             try:
                 inner = pool.schedule(call, args=[fn, *args], timeout=timeout)
             except RuntimeError:  # its worker died while it had nothing to do
-                if not self._ends(pool):
+                if self._taken(pool) is None:
                     return outer
                 self._drop(pool)
         inner.add_done_callback(lambda done: self._done(pool, done, outer))
         return outer
 
-    def _ends(self, pool: "ProcessPool") -> bool:
-        """Return whether a pool's task was still under way; from now on it is not."""
+    def _taken(self, pool: "ProcessPool") -> Future | None:
+        """Return what a pool had under way, for whoever asks first: that one ends it."""
         with self._lock:
-            return self._under_way.pop(pool, None) is not None
+            return self._under_way.pop(pool, None)
 
     def _broken(
         self, pool: "ProcessPool", usual: Callable[[BrokenProcessPool], None], error: BrokenProcessPool
     ) -> None:
         """End what a broken pool has under way, whether it knows of it or not."""
         usual(error)
-        with self._lock:
-            outer = self._under_way.pop(pool, None)
-        if outer is not None:
+        if (outer := self._taken(pool)) is not None:
             if not self._closed:
                 self._drop(pool)
             outer.set_exception(_told_apart(error))
@@ -169,7 +168,7 @@ class Processes:
         threading.Thread(target=_stop, args=[pool], daemon=True).start()
 
     def _done(self, pool: "ProcessPool", inner: Future, outer: Future) -> None:
-        if not self._ends(pool):
+        if self._taken(pool) is None:
             return
         error = WorkerDied("the engine was closed") if inner.cancelled() else _told_apart(inner.exception())
         with self._lock:
