@@ -5,7 +5,7 @@
 Expect 7 to 8 % of the drag saved at the end; the steady flow has 8 % less. PPO saved 7.8, 7.9 and 7.7 % after 256
 episodes (seeds 0, 1, 2; 145 s on one core). SAC saved 7.7, 7.4 and 7.3 % after 192 (225 s).
 The model is saved as SB3's zip, the running mean and deviation of the observations beside it (`VecNormalize.load`).
-`manywake train` uses two cores and gives the same bits everywhere; this does neither.
+`manywake train` uses two cores and gives the same bits for any number of them; this does neither.
 """
 
 from pathlib import Path

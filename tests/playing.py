@@ -54,25 +54,28 @@ def send(socket: ClientConnection, kind: str, **what: Any) -> None:
     socket.send(json.dumps({"type": kind, **what}))
 
 
-def note(socket: ClientConnection, kind: str, when=lambda said: True) -> dict[str, Any]:
-    """Return the next note of a kind that is as it should be; frames on the way are taken as drawn."""
+def told(socket: ClientConnection) -> Iterator[str | bytes]:
+    """Yield what comes, for as long as a test may wait."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         said = socket.recv(timeout=PATIENCE)
         if isinstance(said, bytes):
             drawn(socket, said)
-        elif (found := json.loads(said))["type"] == kind and when(found):
+        yield said
+
+
+def note(socket: ClientConnection, kind: str, when=lambda said: True) -> dict[str, Any]:
+    """Return the next note of a kind that is as it should be; frames on the way are taken as drawn."""
+    for said in told(socket):
+        if isinstance(said, str) and (found := json.loads(said))["type"] == kind and when(found):
             return found
     raise AssertionError(f"no {kind} as it should be")
 
 
 def frame(socket: ClientConnection, when=lambda numbers: True) -> tuple[np.ndarray, np.ndarray]:
     """Return numbers and lanes (lanes, h, w) of the next frame whose numbers are as they should be."""
-    end = time.monotonic() + PATIENCE
-    while time.monotonic() < end:
-        said = socket.recv(timeout=PATIENCE)
+    for said in told(socket):
         if isinstance(said, bytes):
-            drawn(socket, said)
             numbers, lanes = decoded(said)
             if when(numbers):
                 return numbers, lanes

@@ -1,6 +1,7 @@
 """What MkDocs does beside reading docs/: it adds generated pages, and renders formulas as MathML."""
 
 import re
+from html import unescape
 from typing import Any
 
 import latex2mathml.converter
@@ -13,7 +14,6 @@ from website import command_pages, flow_pages
 
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
 NUMBER = re.compile(r"\\tag\{([^}]*)\}")
-ENTITIES = {"&lt;": "<", "&gt;": ">", "&amp;": "&"}
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -33,9 +33,7 @@ def on_page_content(html: str, **given: Any) -> str:
 
 
 def _formula(found: re.Match[str]) -> str:
-    block, tex = found.group(2) == "[", found.group(3)
-    for entity, letter in ENTITIES.items():
-        tex = tex.replace(entity, letter)
+    block, tex = found.group(2) == "[", unescape(found.group(3))
     number = NUMBER.search(tex)
     rendered = latex2mathml.converter.convert(NUMBER.sub("", tex).strip(), display="block" if block else "inline")
     if not block:

@@ -1,6 +1,7 @@
 """Manywake: deep reinforcement learning of active flow control, on many simulations at once.
 
-Rooms, each importing from those before it only: machine, case, flow, suite, env, plots, learn, api, cli.
+Rooms, each importing from those before it only: machine, case, flow, suite, env, plots, learn, export and movie, then
+api, sb3 and play, then cli.
 Importing this package registers `manywake/Flow-v0` and the shipped flows with Gymnasium. The words that a case file is
 written in are all here: `from manywake import *`.
 

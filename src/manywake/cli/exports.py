@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from manywake.cli import show
-from manywake.cli.runs import OnController, OnRun
+from manywake.cli.runs import OnController, OnRun, of_flow
 from manywake.cli.show import Bar, Json, say
 from manywake.learn import flows
 from manywake.learn.controllers import Controller, Learnt
@@ -36,7 +36,7 @@ class Export(OnRun):
 
         folder = export.free(self.output or self.run_folder / "paraview")
         controller = Learnt(Run(self.run_folder).newest_version())
-        return _written(_flows(self), controller, folder, self.actions, self.every, self.json)
+        return _written(of_flow(self.opened()), controller, folder, self.actions, self.every, self.json)
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Movie(OnRun):
         from manywake import movie
 
         path, controller = movie.checked(self.output), Learnt(Run(self.run_folder).newest_version())
-        return _filmed(_flows(self), controller, path, self.actions, self.json)
+        return _filmed(of_flow(self.opened()), controller, path, self.actions, self.json)
 
 
 @dataclass(frozen=True)
@@ -115,15 +115,6 @@ class ExportPolicy:
         sizes = {"observed values": len(policy.mean), "actions": len(policy.log_std)}
         show.numbers({"file": str(path), "policy after updates": policy.version, **sizes}, self.json)
         return 0
-
-
-def _flows(command: OnRun) -> flows.Flows:
-    """Return the flows of a command's run; ValueError where it is one of another simulation."""
-    simulation = command.opened().simulation
-    if not isinstance(simulation, flows.Flows):
-        got = f"run: {command.run_folder} was made with --env"
-        raise ValueError(f"{got}, wanted one of a flow, whose fields are known")
-    return simulation
 
 
 def _filmed(simulation: flows.Flows, controller: Controller, path: Path, actions: int | None, as_json: bool) -> int:

@@ -13,8 +13,8 @@ from typing import Annotated
 import tyro
 
 from manywake import api
+from manywake.cli.runs import of_flow
 from manywake.cli.show import say
-from manywake.learn import flows
 from manywake.suite import load
 
 
@@ -49,10 +49,7 @@ class Play:
         offers, training = session.shipped(), None
         if self.run_folder is not None:
             opened = api.load_run(self.run_folder, self.case)
-            if not isinstance(opened.simulation, flows.Flows):
-                got = f"run: {self.run_folder} was made with --env"
-                raise ValueError(f"{got}, wanted one of a flow, whose fields are known")
-            simulation = opened.simulation
+            simulation = of_flow(opened)
             first, offer = f"run {opened.folder.name}", session.Offer(simulation.chosen, simulation)
             training = Training(opened.run, simulation.flows[0].baseline.free.get("c_d"))
         else:

@@ -94,6 +94,13 @@ class OnRun:
         return api.load_run(self.run_folder, self.case, env=self.env)
 
 
+def of_flow(opened: api.OpenRun) -> flows.Flows:
+    """Return the flows of an open run; ValueError where it is one of another simulation."""
+    if not isinstance(opened.simulation, flows.Flows):
+        raise ValueError(f"run: {opened.folder} was made with --env, wanted one of a flow, whose fields are known")
+    return opened.simulation
+
+
 @dataclass(frozen=True)
 class Resume(OnRun):
     """Go on with a training that was stopped or killed, to the same bits as if it had not been.

@@ -127,12 +127,9 @@ class Scene:
 
     def _actuator(self, draw: ImageDraw.ImageDraw, given: Input) -> None:
         """Draw what an amplitude drives: a slot, a side, a body's rim, or where a force pushes."""
-        thick = 6 * FINE
-        if isinstance(given, BodyForce):
-            ring = given.at + given.radius * np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 60)])
-            draw.line(self._fine(ring), fill=255, width=thick // 2)
+        width, joint = (3 * FINE, None) if isinstance(given, BodyForce) else (6 * FINE, "curve")
         for points in lines(self.case, given):
-            draw.line(self._fine(points), fill=255, width=thick, joint="curve")
+            draw.line(self._fine(points), fill=255, width=width, joint=joint)
 
     def _dots(self, draw: ImageDraw.ImageDraw) -> None:
         for sensor in self.case.sensors:
@@ -146,7 +143,10 @@ class Scene:
 
 
 def lines(case: Case, given: Input) -> list[np.ndarray]:
-    """Return the lines, (k, 2) each, of the boundary that an input moves; none of what acts inside the fluid."""
+    """Return the lines, (k, 2) each, of the boundary that an input moves, or about where it acts inside the fluid."""
+    if isinstance(given, BodyForce):
+        angles = np.linspace(0, 2 * np.pi, 60)
+        return [given.at + given.radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)]
     body = case.body(given.on)
     if body is None:
         return [np.array([side.start, side.end]) for side in case.domain.sides() if side.name == given.on]

@@ -11,9 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from manywake.case.case import Case
 from manywake.case.geometry import outline
-from manywake.case.inputs import BodyForce, Input
 from manywake.case.sensors import Probes
 from manywake.env.scene import STRONGEST, lines
 from manywake.flow.batch import Start
@@ -90,20 +88,12 @@ class Picture:
             "domain": _plain([side.start for side in case.domain.sides()], unit),
             "bodies": [_plain(outline(body, count=120), unit) for body in case.bodies],
             "actuators": [
-                {"name": given.on, "lines": [_plain(line, unit) for line in _driven(case, given)]}
+                {"name": given.on, "lines": [_plain(line, unit) for line in lines(case, given)]}
                 for given in case.actuators
             ],
             "sensors": [{"name": name, "points": _plain(points, unit)} for name, points in sensors],
             "fields": [asdict(shade) for shade in self.shades],
         }
-
-
-def _driven(case: Case, given: Input) -> list[np.ndarray]:
-    """Return the lines, (k, 2) each, along which an input acts."""
-    if isinstance(given, BodyForce):
-        angles = np.linspace(0, 2 * np.pi, 60)
-        return [given.at + given.radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)]
-    return lines(case, given)
 
 
 def _plain(numbers: Any, unit: float) -> list:
