@@ -11,11 +11,11 @@ from manywake import FlowEnv, FlowVectorEnv
 from manywake.env.scene import STRIP, WIDTH, Scene
 from manywake.flow import raster
 from manywake.flow.mesh import Mesh
-from manywake.flow.raster import Raster, Window
+from manywake.flow.raster import Raster, View
 from manywake.suite import square_jets
 
 SHORT = {"interval": 0.005, "actions": 3}
-VIEW = Window((-0.1, 0.3), (-0.15, 0.15), 80, 60)
+VIEW = View((-0.1, 0.3), (-0.15, 0.15), 80, 60)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def test_a_linear_vorticity_is_drawn_exactly(ops, base, pixels):
 
 def test_a_picture_shows_the_bodies_with_room_around_them_and_no_more():
     wide = Mesh(np.array([(-20.0, -20.0), (40.0, 20.0)]), np.empty((0, 3), int), {})
-    view = raster.window(square_jets.CASE, wide, 640)
+    view = raster.framed(square_jets.CASE, wide, 640)
     assert view.x == (-3.0, 16.0) and view.y == (-5.5, 5.5)
     assert view.height % 2 == 0 and view.height == pytest.approx(640 * 11 / 19, abs=1)
 

@@ -17,7 +17,7 @@ from manywake.case.case import Case
 from manywake.case.geometry import Circle, outline
 from manywake.flow.baseline import Baseline
 from manywake.flow.batch import Start
-from manywake.flow.raster import Raster, window
+from manywake.flow.raster import Raster, framed
 from manywake.flow.store import Flow
 from manywake.machine import disk
 
@@ -105,7 +105,7 @@ def wake(
     uncontrolled, controlled: the states at the end of the record. record: columns of wake.csv.
     """
     case, base = flow.case, flow.baseline
-    drawn = Raster(flow.operators.space, window(case, base.mesh, PIXELS))
+    drawn = Raster(flow.operators.space, framed(case, base.mesh, PIXELS))
     field, names, time = 4.6 * drawn.view.height / PIXELS, base.shown, record["time"]
     heights = [field + 0.6, *[1.5] * len(names), 1.2]
     figure = _figure(11, sum(heights) + 1.2, f"{title}, {time[-1]:.4g} L/U after control began")

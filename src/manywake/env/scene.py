@@ -10,7 +10,7 @@ from manywake.case.geometry import Body, outline
 from manywake.case.inputs import BodyForce, Input
 from manywake.case.sensors import Probes, Shear
 from manywake.flow.batch import Start
-from manywake.flow.raster import Raster, window
+from manywake.flow.raster import Raster, framed
 from manywake.flow.store import Flow
 
 WIDTH, STRIP, TITLE = 640, 88, 20
@@ -54,7 +54,7 @@ class Scene:
 
     def __init__(self, flow: Flow, duration: float):
         self.case, self.base, self.duration = flow.case, flow.baseline, duration
-        self.view = window(flow.case, flow.baseline.mesh, WIDTH)
+        self.view = framed(flow.case, flow.baseline.mesh, WIDTH)
         self._raster = Raster(flow.operators.space, self.view)
         self._bodies = [self._patch(lambda draw, b=b: self._body(draw, b)) for b in flow.case.bodies]
         self._actuators = [self._patch(lambda draw, a=a: self._actuator(draw, a)) for a in flow.case.actuators]

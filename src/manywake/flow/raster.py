@@ -19,7 +19,7 @@ SLIMMEST = 1 / 5
 
 
 @dataclass(frozen=True)
-class Window:
+class View:
     """A rectangle of the flow, in the case's unit of length, and how many pixels it has."""
 
     x: tuple[float, float]
@@ -42,7 +42,7 @@ class Window:
         return np.stack([part.ravel() for part in np.meshgrid(x, y)], axis=1)
 
 
-def window(case: Case, mesh: Mesh, width: int) -> Window:
+def framed(case: Case, mesh: Mesh, width: int) -> View:
     """Return the part of a flow that is worth a look, on a picture of so many pixels across, even in height."""
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
     rims = [outline(body) for body in case.bodies]
@@ -55,13 +55,13 @@ def window(case: Case, mesh: Mesh, width: int) -> Window:
         high[0] = min(high[0], max(corners) + BEHIND * case.scales.length)
     across, along = float(high[1] - low[1]), float(high[0] - low[0])
     height = 2 * round(width * max(across / along, SLIMMEST) / 2)
-    return Window((float(low[0]), float(high[0])), (float(low[1]), float(high[1])), width, height)
+    return View((float(low[0]), float(high[0])), (float(low[1]), float(high[1])), width, height)
 
 
 class Raster:
-    """The pixels of a window that lie in the fluid: `fluid`, (height, width)."""
+    """The pixels of a view that lie in the fluid: `fluid`, (height, width)."""
 
-    def __init__(self, space: Space, view: Window):
+    def __init__(self, space: Space, view: View):
         self.view = view
         places = view.centres()
         element, corners = _located(space, places)

@@ -15,7 +15,7 @@ from manywake.case.geometry import outline
 from manywake.case.sensors import Probes
 from manywake.env.scene import STRONGEST, lines
 from manywake.flow.batch import Start
-from manywake.flow.raster import Raster, window
+from manywake.flow.raster import Raster, framed
 from manywake.flow.store import Flow
 
 WIDTH = 448
@@ -40,7 +40,7 @@ class Picture:
     """The fields of one case on a grid of `width` points across, those of bodies and walls like the nearest fluid."""
 
     def __init__(self, flow: Flow, width: int = WIDTH):
-        self.flow, self.view = flow, window(flow.case, flow.baseline.mesh, width)
+        self.flow, self.view = flow, framed(flow.case, flow.baseline.mesh, width)
         self._raster = Raster(flow.operators.space, self.view)
         nearest = distance_transform_edt(~self._raster.fluid, return_distances=False, return_indices=True)
         self._nearest = np.ravel_multi_index(tuple(nearest), self._raster.fluid.shape).ravel()
