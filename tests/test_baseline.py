@@ -86,7 +86,7 @@ def test_the_pinball_starts_in_either_of_two_mirror_states():
     flow = store.flow(chosen)
     starts = flow.baseline.starts
     batch = batches.started(flow.operators, starts, len(starts))
-    lift = spinup.free_run(batch, round(15 / chosen.dt))["c_l"].mean(axis=0)  # about three periods
+    lift = spinup.free_run(batch, round(flow.baseline.statistics.period / chosen.dt))["c_l"].mean(axis=0)
     assert (lift[::2] > 0.03).all() and (lift[1::2] < -0.03).all()
     assert abs(flow.baseline.free["c_l"]) < 0.01  # they cancel
     assert load.load("pinball").task.starts == "any"
