@@ -1,6 +1,8 @@
 PYTHON ?= python3
 # a test that hangs ends the run, and its stack is shown
 PATIENCE := -o faulthandler_timeout=900 -o faulthandler_exit_on_timeout=true
+# two files of tests at a time, each in its order
+PARALLEL := -n 2 --dist loadfile
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
@@ -24,10 +26,10 @@ figures: setup
 	$(BIN)/manywake figure all
 
 test: setup lint
-	$(BIN)/python -m pytest $(PATIENCE)
+	$(BIN)/python -m pytest $(PATIENCE) $(PARALLEL)
 
 test-all: setup lint
-	$(BIN)/python -m pytest $(PATIENCE)
+	$(BIN)/python -m pytest $(PATIENCE) $(PARALLEL)
 	$(BIN)/python -m pytest tests/slow
 
 lint: setup
