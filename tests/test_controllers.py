@@ -181,7 +181,7 @@ def test_a_policy_that_ships_is_played_by_its_case_and_refused_by_another_task(s
     np.testing.assert_allclose(choose(0, flows.observe()), 0.3, rtol=1e-6)
     with pytest.raises(ValueError, match="made for 151 observed values, got a task with 302"):
         controllers.shipped(tmp_path / "policy.npz", "cylinder-jets", 302)
-    with pytest.raises(ValueError, match="no policy ships with wake, wanted one; train it: manywake train --case wake"):
+    with pytest.raises(ValueError, match="no policy ships with wake, wanted one; train one, and give its run"):
         controllers.shipped(None, "wake", 151)
 
 

@@ -33,7 +33,8 @@ def file(**changes: str) -> str:
     """Return a case file, as it should be or with some of its parts changed."""
     assert set(changes) <= set(PARTS)
     part = PARTS | changes
-    return f"""from manywake import *
+    return f"""import numpy as np
+from manywake import *
 
 CASE = Case(
     reynolds=100,
@@ -58,7 +59,14 @@ TASK = Task(0.025, 80, reward, observe=({part["observe"]}), mixing={part["mixing
 
 def around(corners: str) -> dict[str, str]:
     """Return the parts of a file whose body has straight sides and no jets."""
-    return {"bodies": f'Polygon("wedge", {corners})', "actuators": 'Rotation("wedge", limit=1.0)', "mixing": "None"}
+    return {"bodies": f'Polygon("wedge", {corners})', "actuators": 'Gust("left", limit=0.1)', "mixing": "None"}
+
+
+def curve(function: str, **changes: str) -> dict[str, str]:
+    """Return the parts of a file whose body is a curve, given as a function of a, without jets."""
+    body = f'Smooth("wing", lambda a: np.stack([{function}], axis=1))'
+    plain = {"bodies": body, "actuators": 'Gust("left", limit=0.1)', "mixing": "None"}
+    return plain | changes
 
 
 def force(words: str) -> dict[str, str]:
@@ -169,6 +177,18 @@ FILES = {
     "a polygon that runs clockwise": (
         file(**around("((0.0, -0.05), (0.0, 0.05), (0.1, 0.0))")),
         "body 'wedge': runs clockwise, wanted its points counter-clockwise",
+    ),
+    "a curve that does not close": (
+        file(**curve("(0.05 + 0.001 * a) * np.cos(a), 0.05 * np.sin(a)")),
+        "body 'wing': got a curve whose ends are 0.00628319 apart, wanted one that closes",
+    ),
+    "a curve that turns and is not round": (
+        file(**curve("0.05 * np.cos(a), 0.03 * np.sin(a)", actuators='Rotation("wing", limit=1.0)')),
+        "Rotation: got 'wing', which is not round about its centre, wanted a body that is; the mesh stands still",
+    ),
+    "a polygon that turns": (
+        file(**around("((0.0, -0.05), (0.08, 0.0), (0.0, 0.05))") | {"actuators": 'Rotation("wedge", limit=1.0)'}),
+        "Rotation: got 'wedge', which is not round about its centre",
     ),
     "a domain that runs clockwise": (
         file(

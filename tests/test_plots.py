@@ -50,7 +50,7 @@ def test_a_jump_at_first_does_not_decide_the_range_of_the_lift(shipped, drawn, t
 
 def test_a_dashed_line_is_the_steady_flow_in_every_picture(shipped, drawn, tmp_path):
     start, base, path = shipped.baseline.start, shipped.baseline, tmp_path / "x.png"
-    numbers = {f"{name}_second_half": np.arange(4.0) for name in ("c_d", "c_l")}
+    numbers = {f"{name}_second_half": np.arange(4.0) for name in ("c_d", "c_l")} | {"reward": np.arange(4.0)}
     table = numbers | {"update": np.arange(4.0) // 2, "episode": np.arange(4), "wall_s": np.arange(4.0)}
     plots.wake(shipped, start, start, record(), "", path)
     plots.learning_curve(table, base, "", path)

@@ -204,7 +204,7 @@ WRONG = {
     "no growth of drag": (Growth("x", "c_d", 1, None, OURS), "wanted one of rate, grows"),
     "no held flow lifts": (Response("x", "lifts", 1, None, OURS, (0.0, 0.0), 1.0, 2.0), "wanted one of c_d mean"),
     "one amplitude": (Response("x", "c_d mean", 1, None, OURS, (0.0,), 1.0, 2.0), "wanted 2"),
-    "too short": (Response("x", "sheds", 1, None, OURS, (0.0, 0.0), 1.0, 40.0), "wanted more than 41"),
+    "too short": (Response("x", "sheds", 1, None, OURS, (0.0, 0.0), 1.0, 40.0), "and a duration above 41"),
     "no points": (Driven("x", "pressure drop", 1, None, OURS, lambda t: (0, 0), 1.0), "wanted two points"),
 }
 

@@ -39,3 +39,20 @@ def test_the_line_has_the_reward_where_there_is_no_drag():
     bar.show([episode(), replace(episode(), terminated=True)], Shares(), 0)
     (line,) = rendered(bar)
     assert "514/102400" in line and "reward -4938" in line and len(line) <= 80
+
+
+def test_in_a_file_a_training_tells_now_and_then_how_far_it_is():
+    out = io.StringIO()
+    bar = Episodes(400, 0, Console(file=out, width=80))
+    for _ in range(25):
+        bar.show([episode(c_d=3.1, c_l=0.1)] * 16, Shares(), 0)
+    lines = out.getvalue().splitlines()
+    assert lines[0] == "episode 32 of 400: C_D 3.100 C_L +0.100"
+    assert len(lines) == 12
+
+
+def test_on_a_screen_it_tells_by_the_bar_alone():
+    out = io.StringIO()
+    bar = Episodes(16, 0, Console(file=out, width=80, force_terminal=True))
+    bar.show([episode(c_d=3.1, c_l=0.1)] * 16, Shares(), 0)
+    assert "episode 16" not in out.getvalue()

@@ -49,6 +49,7 @@ def test_halving_a_series_goes_straight_from_step_to_step(tiny):
     found = twin.halved(series, np.zeros((2, 3)))
     assert (found[1::2] == series).all() and (found[0] == series[0] / 2).all()
     assert (found[2::2] == (series[1:] + series[:-1]) / 2).all()
+    assert twin.halved(np.zeros((4, 0, 3)), np.zeros((0, 3))).shape == (8, 0, 3)  # of a flow without noise
 
 
 def test_a_twin_agrees_with_its_flow_and_is_kept(flow, tmp_path):

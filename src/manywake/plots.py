@@ -62,23 +62,28 @@ def update_means(table: dict[str, np.ndarray], name: str) -> tuple[np.ndarray, n
 
 
 def learning_curve(episodes: dict[str, np.ndarray], base: Baseline, title: str, path: Path) -> None:
-    """Draw the readings of the exploring episodes against episodes and wall time; `episodes` as in episodes.csv."""
-    names = base.shown
+    """Draw readings and reward of the exploring episodes against episodes and wall time.
+
+    episodes: as in episodes.csv.
+    """
+    names = (*base.shown, "reward")
     figure = _figure(10, 0.9 + 2.6 * len(names), f"{title}: exploring policy")
     axes = figure.subplots(len(names), 2, sharey="row", squeeze=False)
     ends = [np.flatnonzero(episodes["update"] == update)[-1] for update in np.unique(episodes["update"])]
     along = (episodes["episode"] + 1, "episodes"), (episodes["wall_s"] / 60, "wall time [min]")
     for column, (x, label) in enumerate(along):
         for row, name in enumerate(names):
-            axis, half = axes[row, column], f"{name}_second_half"
-            axis.plot(x, episodes[half], ".", color=CONTROLLED, alpha=0.3, markersize=5, mew=0, label="an episode")
-            axis.plot(x[ends], update_means(episodes, half)[1], color=CONTROLLED, lw=2, label="mean of an update")
-            axis.axhline(base.free[name], **FREE)
-            axis.axhline(base.steady[name], **STEADY)
+            axis, y = axes[row, column], name if name == "reward" else f"{name}_second_half"
+            axis.plot(x, episodes[y], ".", color=CONTROLLED, alpha=0.3, markersize=5, mew=0, label="an episode")
+            axis.plot(x[ends], update_means(episodes, y)[1], color=CONTROLLED, lw=2, label="mean of an update")
+            if name != "reward":
+                axis.axhline(base.free[name], **FREE)
+                axis.axhline(base.steady[name], **STEADY)
             axis.set(xlabel=label if row == len(names) - 1 else "")
             axis.grid(alpha=0.25)
             if not column:
-                axis.set_ylabel(f"{LABELS.get(name, name)}, 2nd half of episode")
+                over = "sum over an episode" if name == "reward" else "2nd half of episode"
+                axis.set_ylabel(f"{LABELS.get(name, name)}, {over}")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), ncols=4, loc="outside lower center", fontsize=9)
     figure.align_ylabels(axes)
     _save(figure, path)

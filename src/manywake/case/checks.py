@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from manywake.case.conditions import Free, FreeSlip, NoSlip, Outflow
-from manywake.case.geometry import distance, inside, outline
+from manywake.case.geometry import Smooth, distance, inside, outline
 from manywake.case.inputs import Noise
 from manywake.case.sensors import RESERVED, Energy, Probes, Shear
 
@@ -17,6 +17,10 @@ TRIED, TRIED_EMPTY = 400.0, 1000.0
 """Largest Reynolds number of the flows that were validated, with bodies and without (`suite`)."""
 CLOSEST = 1e-3
 """Least distance of bodies from each other and from the domain's sides on a mesh of the user's, in L."""
+CLOSED = 1e-6
+"""A curve closes whose ends are no further apart than this, as a share of its extent."""
+ROUND = 1e-3
+"""A body is round whose wall, as it turns, moves through itself no faster than this share of its velocity."""
 FASTEST = 10.0
 """Largest velocity of an input, in the case's units; the time steps that a scheme allows are not stable far above."""
 COMMON = 3.0
@@ -94,6 +98,12 @@ def _check_bodies(case: Any) -> None:
         xy = outline(body)
         if not np.isfinite(xy).all():
             raise ValueError(f"body {body.name!r}: got points that are not finite")
+        gap = np.linalg.norm(np.diff(body.point(np.array([0.0, 360.0])), axis=0)) if isinstance(body, Smooth) else 0.0
+        if gap > CLOSED * np.ptp(xy, axis=0).max():
+            raise ValueError(
+                f"body {body.name!r}: got a curve whose ends are {gap:g} apart, wanted one that closes, whose function "
+                "is the same at 0 and 2 pi"
+            )
         if _area(xy) <= 0:
             raise ValueError(f"body {body.name!r}: runs clockwise, wanted its points counter-clockwise")
         if not inside(domain, xy).all() or distance(domain, xy).min() < height:
@@ -217,8 +227,22 @@ def _check_place(case: Any, given: Any) -> None:
         raise ValueError(f"{kind}: got {on!r}, wanted a single part of a body or a side, where it can blow")
     if given.acts == "body" and on not in bodies:
         raise ValueError(f"{kind}: got {on!r}, wanted the name of a body, as a whole")
+    if given.acts == "body":
+        _check_turning(case.body(on), given)
     if given.acts == "side":
         _check_gust(case, given, list(sides))
+
+
+def _check_turning(body: Any, given: Any) -> None:
+    xy = outline(body)
+    along, middle = np.roll(xy, -1, axis=0) - xy, 0.5 * (np.roll(xy, -1, axis=0) + xy)
+    velocity = given.velocity(body, None, middle)
+    through = np.abs(along[:, 0] * velocity[:, 1] - along[:, 1] * velocity[:, 0]) / np.linalg.norm(along, axis=1)
+    if through.max() > ROUND * np.linalg.norm(velocity, axis=1).max():
+        raise ValueError(
+            f"{type(given).__name__}: got {body.name!r}, which is not round about its centre, wanted a body that is; "
+            "the mesh stands still, so that fluid would pass through the wall of another"
+        )
 
 
 def _check_gust(case: Any, gust: Any, sides: list[str]) -> None:

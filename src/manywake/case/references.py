@@ -122,8 +122,8 @@ class Length:
 class Response(_Number):
     """A number of the flow from the start state with its actuators held: as of a `Statistic`, or "sheds", 1 or 0.
 
-    amplitudes: one for each actuator; they may exceed its limit. They rise smoothly within settle / 60. settle,
-    duration: the time, in L / U, that is not averaged, and of the whole run. "sheds": whether the amplitude of C_L over
+    amplitudes: one for each actuator; they may exceed its limit. They rise smoothly within settle / 60. duration:
+    of the whole run, in L / U, of which `settle` is not averaged. "sheds": whether the amplitude of C_L over
     the last 40 L / U exceeds 0.05. time_step: of the run, in the case's unit, the case's when not given.
     """
 
@@ -216,8 +216,9 @@ def check(case: Case, references: Sequence[Reference]) -> None:
             least = reference.settle + (SHEDDING if reference.of == "sheds" else 0.0)
             if not 0 < reference.settle < reference.duration or reference.duration < least:
                 raise ValueError(
-                    f"reference {reference.name!r}: got the duration {reference.duration:g}, wanted more than "
-                    f"{least:g}, what settles and what is judged; settle: got {reference.settle:g}, wanted it positive"
+                    f"reference {reference.name!r}: got settle {reference.settle:g} of the duration "
+                    f"{reference.duration:g}, wanted it positive, and a duration above {least:g}, settle and what is "
+                    "judged"
                 )
         if isinstance(reference, Driven) and (reference.of == "pressure drop") != (reference.points is not None):
             raise ValueError(

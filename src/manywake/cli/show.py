@@ -17,6 +17,9 @@ from manywake.learn.rows import Shares
 
 console = Console(stderr=True)
 
+LINES = 20
+"""Of a training's progress in a file."""
+
 Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object as the last line.")]
 
 
@@ -41,13 +44,17 @@ class Episodes(Progress):
     def __init__(self, total: int, done: int, on: Console = console):
         columns = BarColumn(20), MofNCompleteColumn(), TimeRemainingColumn(), "left", "{task.fields[numbers]}"
         super().__init__(*columns, console=on)
-        self.shares = Shares()
+        self.shares, self._told = Shares(), done
         self.bar = self.add_task("episodes", total=total, completed=done, numbers="")
 
     def show(self, episodes: list[Episode], shares: Shares, failures: int) -> None:
-        """Take a block of episodes; as `train.Show`."""
-        self.shares = shares
-        self.update(self.bar, advance=len(episodes), numbers=_numbers(episodes, failures))
+        """Take a block of episodes; as `train.Show`. Where no bar can move, as in a file, a line tells now and then."""
+        self.shares, numbers = shares, _numbers(episodes, failures)
+        self.update(self.bar, advance=len(episodes), numbers=numbers)
+        done, total = (int(of or 0) for of in (self.tasks[0].completed, self.tasks[0].total))
+        if not self.console.is_terminal and done - self._told >= total / LINES:
+            self._told = done
+            self.console.print(escape(f"episode {done} of {total}: {numbers}"), highlight=False, soft_wrap=True)
 
     def spent(self) -> str:
         """Return where the time of the slots and of the learner went; nothing before the first update."""

@@ -28,8 +28,11 @@ _MADE_ANEW = ("_flows", "_pictures")
 
 
 def _say(what: str, share: float) -> None:
-    """Tell on the standard error how far the baseline of a new case is."""
-    print(f"\rmanywake: baseline, {what} {share:4.0%}", end="\n" if share >= 1 else "", file=sys.stderr, flush=True)
+    """Tell on the standard error how far the baseline of a new case is; in a file, what is done."""
+    on_screen = sys.stderr.isatty()
+    if on_screen or share >= 1:
+        text = f"manywake: baseline, {what} {share:4.0%}"
+        print(f"\r{text}" if on_screen else text, end="\n" if share >= 1 else "", file=sys.stderr, flush=True)
 
 
 def next_seed(random: np.random.Generator) -> int:

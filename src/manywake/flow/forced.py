@@ -100,13 +100,13 @@ def fine(flow: Flow, reference: Forced, mixing: np.ndarray, report: Progress) ->
 def kept(flow: Flow, reference: Forced, path: Path) -> dict[str, Any]:
     """Read a fine reference that was kept; ValueError when there is none, or not one of this flow."""
     if not path.exists():
-        raise ValueError(f"fine reference: {path} is not there; make one with: manywake validate --recompute")
+        raise ValueError(f"fine reference: {path} is not there; add --recompute, which makes one")
     found = json.loads(path.read_text())
     for key, wanted in _identity(flow, reference).items():
         if found[key] != wanted:
             raise ValueError(
                 f"fine reference: got one for {key} {found[key]}, wanted {wanted}; "
-                "make one for this flow with: manywake validate --recompute (some ten minutes)"
+                "add --recompute, which makes one for this flow (some ten minutes)"
             )
     return found
 

@@ -78,7 +78,7 @@ def fine(flow: Flow, reference: Twin, report: Progress) -> dict[str, Any]:
 def halved(series: np.ndarray, before: np.ndarray) -> np.ndarray:
     """Return a series (steps, ...) at half the step, (2 steps, ...); before: the value that it follows."""
     middle = 0.5 * (np.concatenate([before[None], series[:-1]]) + series)
-    return np.stack([middle, series], axis=1).reshape(-1, *series.shape[1:])
+    return np.stack([middle, series], axis=1).reshape(2 * len(series), *series.shape[1:])
 
 
 def judged(record: dict[str, np.ndarray], reference: Twin, time_step: float) -> dict[str, Moments]:
@@ -90,13 +90,13 @@ def judged(record: dict[str, np.ndarray], reference: Twin, time_step: float) -> 
 def kept(flow: Flow, reference: Twin, path: Path) -> dict[str, Moments]:
     """Read a twin that was kept; ValueError when there is none, or not one of this flow."""
     if not path.exists():
-        raise ValueError(f"twin: {path} is not there; make one with: manywake validate --recompute")
+        raise ValueError(f"twin: {path} is not there; add --recompute, which makes one")
     found = json.loads(path.read_text())
     for key, wanted in _identity(flow, reference).items():
         if found.get(key) != wanted:
             raise ValueError(
-                f"twin: got one for {key} {found.get(key)}, wanted {wanted}; make one for this flow with: manywake "
-                "validate --recompute"
+                f"twin: got one for {key} {found.get(key)}, wanted {wanted}; add --recompute, which makes one for this "
+                "flow"
             )
     return {name: Moments(**of) for name, of in found["readings"].items()}
 

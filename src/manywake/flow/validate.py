@@ -57,7 +57,9 @@ def run(
         elif isinstance(number, Twin) and kept is not None:
             checks += twins(flow, number, kept, report, recompute)
     report("orders", 0.0)
-    return checks + orders(flow.case.scheme)
+    checks += orders(flow.case.scheme)
+    report("orders", 1.0)
+    return checks
 
 
 def viscosity(flow: Flow) -> Check:

@@ -192,7 +192,7 @@ def own(name: str) -> Own:
 def shipped(path: Path | None, name: str, values: int) -> Learnt:
     """Return the policy that ships with a case; ValueError where there is none, or it was made for another task."""
     if path is None:
-        raise ValueError(f"pretrained: no policy ships with {name}, wanted one; train it: manywake train --case {name}")
+        raise ValueError(f"pretrained: no policy ships with {name}, wanted one; train one, and give its run")
     found = policies.read(path)
     if len(found.mean) != values:
         raise ValueError(

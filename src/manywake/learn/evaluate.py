@@ -30,9 +30,11 @@ TABLED = {
     "cd_uncontrolled": ("C_D uncontrolled", ".4f"),
     "cd_controlled": ("C_D controlled", ".4f"),
     "drag_reduction": ("drag reduction", ".2%"),
+    "net_reduction": ("drag reduction less the power", ".2%"),
     "share_of_shedding_drag": ("share of the shedding drag removed", ".1%"),
     "cl_mean": ("C_L mean", "+.3f"),
-    "cl_rms": ("C_L rms", ".3f"),
+    "cl_rms": ("C_L rms, about zero", ".3f"),
+    "cl_std": ("C_L rms, about its mean", ".3f"),
     "amplitude_rms": ("amplitude rms / limit", ".1%"),
     "power": ("power C_P of the inputs", ".4f"),
     "reward": ("reward of an action", ".4f"),
@@ -45,19 +47,22 @@ class Control:
     """What a controller achieves over a window. C = 2F / (rho U^2 L), C_P = 2P / (rho U^3 L).
 
     cd_uncontrolled: mean over whole periods of the same mesh and time step. cd_steady: of the steady base flow.
-    drag_reduction: saved / cd_uncontrolled, with saved = cd_uncontrolled - cd_controlled. share_of_shedding_drag: saved
-    / (cd_uncontrolled - cd_steady). cl_rms, amplitude_rms: about zero, the latter over all inputs in units of their
-    limits. power: mean C_P of the inputs. reward: mean of an action's. diverged: the flow blew up; the numbers mean
-    nothing. measured: means of the sensors that are integrals, by name.
+    drag_reduction: saved / cd_uncontrolled, with saved = cd_uncontrolled - cd_controlled. net_reduction: (saved -
+    power) / cd_uncontrolled. share_of_shedding_drag: saved / (cd_uncontrolled - cd_steady). cl_rms, amplitude_rms:
+    about zero, the latter over all inputs in units of their limits. cl_std: about its mean. power: mean C_P of the
+    inputs. reward: mean of an action's. diverged: the flow blew up; the numbers mean nothing. measured: means of the
+    sensors that are integrals, by name.
     """
 
     cd_uncontrolled: float
     cd_controlled: float
     cd_steady: float
     drag_reduction: float
+    net_reduction: float
     share_of_shedding_drag: float
     cl_mean: float
     cl_rms: float
+    cl_std: float
     amplitude_rms: float
     power: float
     reward: float
@@ -149,7 +154,7 @@ def titled(folder: Path) -> str:
     described = json.loads(path.read_text())
     simulation, words = described["simulation"], []
     if "task" in simulation:
-        words.append(f"reward {simulation['task']['reward']['name']}")
+        words.append(f"reward {simulation['task']['reward']['name']}".replace("reward reward", "a reward of its own"))
     name = simulation.get("name") or simulation.get("env") or simulation["kind"]
     return ", ".join((name, *words, f"seed {described['seed']}"))
 
@@ -184,7 +189,7 @@ class Evaluations:
         return {"at": {f"{part.flow.case.reynolds:g}": part.summary() for part in self.parts}}
 
     def table(self) -> list[tuple[str, ...]]:
-        shown = [name for name in TABLED if name not in ("share_of_shedding_drag", "cl_rms")]
+        shown = [name for name in TABLED if name not in ("net_reduction", "share_of_shedding_drag", "cl_rms", "cl_std")]
         rows: list[tuple[str, ...]] = [("long run: Re", *(TABLED[name][0] for name in shown))]
         for part in self.parts:
             now = part.long_run
@@ -250,9 +255,11 @@ def control(base: Baseline, limits: np.ndarray, part: Trajectory, column: int) -
         cd_controlled=cd,
         cd_steady=steady,
         drag_reduction=saved / cd0,
+        net_reduction=(saved - float(np.mean(power))) / cd0,
         share_of_shedding_drag=saved / (cd0 - steady),
         cl_mean=float(np.mean(c_l)),
         cl_rms=rms(c_l),
+        cl_std=float(np.std(c_l)),
         amplitude_rms=rms(part.amplitudes[:, :, column] / limits),
         power=float(np.mean(power)),
         reward=float(np.mean(part.rewards[:, column])),
