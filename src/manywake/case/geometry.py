@@ -107,7 +107,10 @@ class Circle(_Round):
 
 @dataclass(frozen=True)
 class Smooth(_Round):
-    """A smooth closed curve given as a function: angles (k,) in radians -> points (k, 2), counter-clockwise."""
+    """A smooth closed curve given as a function: angles (k,) in radians -> points (k, 2), counter-clockwise.
+
+    Parts are ranges of that angle, in degrees, wherever the points lie.
+    """
 
     function: Callable[[np.ndarray], np.ndarray]
     centre: Point = (0.0, 0.0)
