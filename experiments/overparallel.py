@@ -10,7 +10,7 @@ in episodes of one environment, drawn in seconds of an episode measured in one l
 the model, not of 60 environments on 60 cores. Harm: the difference of the mean final C_D from that of synced 20, with
 its 95 % interval and the p of Welch's test, two-sided. A policy that is no better than no control is named by its seed.
 Command: manywake figure overparallel
-Cost: 21 trainings beside those of `synced`, 35 min by that of its first 6.
+Cost: 24 trainings, of which 3 are those of `synced`: half an hour of two cores.
 Expected: plateaus of 60 episodes; speed-up of 300 episodes 58 (they are 5 rounds of 60). When used, the last actions of
 60 environments' episodes are 0, 1 and 2 updates old, as in the paper. The share of samples outside the clip range of
 the policies that drew them shows how far off-policy an update is. (Synced 20 has its ratio to the policy that drew the

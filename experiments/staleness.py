@@ -6,7 +6,7 @@ Here: 60 environments whose episodes keep the policy they began with, and the ra
 it: what `--schedule unsynced` does by default, and all it can do on the real clock. Eight seeds, 300 episodes, on the
 virtual clock, beside the runs of `synced` and `overparallel`. Harm is judged as there.
 Command: manywake figure staleness
-Cost: 8 trainings beside those of the other two, 16 min by that of its first 3. Not one of `manywake figure all`.
+Cost: 8 trainings beside those of the other two, 10 min of two cores. Not one of `manywake figure all`.
 Expected: episodes 3, 4 and 5 updates old when they are used, not 0, 1 and 2; slower learning.
 """
 
