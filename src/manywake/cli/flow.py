@@ -140,5 +140,7 @@ class Baseline(OnCase):
         for actuator in case.actuators:
             for kind in ("held", "smooth"):
                 described[f"{actuator.on} withstood, {kind}"] = actuator.strongest * getattr(base.withstood, kind)
+        if len(case.bodies) == 1 and not self.json:  # the one body has the readings of all
+            described = {name: of for name, of in described.items() if not name.startswith(("c_d.", "c_l.", "c_m."))}
         numbers(described, self.json)
         return 0
