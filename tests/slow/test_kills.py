@@ -1,7 +1,7 @@
 """Random kills: whatever is killed and when, the training ends with the bits of one that was left alone.
 
-`python -m tests.slow.test_kills 100` does it a hundred times, and prints what was killed and when. A kill that came after
-the training had ended is not counted.
+`python -m tests.slow.test_kills 100` does it a hundred times, and prints what was killed and when. A kill that came
+after the training had ended is not counted.
 """
 
 import json
