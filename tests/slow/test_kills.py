@@ -23,8 +23,6 @@ ENV = ["--env", "tests.external:make"]
 TRAINING = [*ENV, "--actions", "20", "--update-period", "8", "--episodes", "320", "--hidden", "16", "--workers", "2"]
 CHECKOUT = Path(__file__).parents[2]
 LATE = " (too late: the training had ended)"
-RAY_STARTS = 12.0
-"""Seconds until Ray of our own plays, or so."""
 
 
 def command(where: dict[str, str], *words) -> subprocess.Popen:
@@ -77,13 +75,14 @@ def survived(victim: str, seed: int, seconds: float, wanted: str) -> str:
     """
     rng = np.random.default_rng(seed)
     engine = "ray" if victim == "ray" else "processes"
-    begin = RAY_STARTS if victim == "ray" else 0.0
     with tempfile.TemporaryDirectory(prefix="k", dir="/tmp") as made:
         folder, temporary = Path(made) / "run", Path(made) / "t"
         temporary.mkdir()
         where = os.environ | {"TMPDIR": str(temporary)}
         running = command(where, "train", *TRAINING, "--engine", engine, "--run", folder)
-        delay = begin + rng.uniform(0.0, seconds)
+        while victim == "ray" and chosen(running.pid, victim, rng) is None and running.poll() is None:
+            time.sleep(0.05)  # Ray of our own takes seconds to start
+        delay = rng.uniform(0.0, seconds)
         time.sleep(delay)
         while (process := chosen(running.pid, victim, rng)) is None and running.poll() is None:
             time.sleep(0.05)
