@@ -23,8 +23,8 @@ ENV = ["--env", "tests.external:make"]
 TRAINING = [*ENV, "--actions", "20", "--update-period", "8", "--episodes", "320", "--hidden", "16", "--workers", "2"]
 CHECKOUT = Path(__file__).parents[2]
 PATIENCE = {"ray": 120.0}
-"""Seconds within which all processes are gone, if not 20: Ray's own that were starting wait a minute for a raylet that is
-dead, then end of themselves."""
+"""Seconds within which all processes are gone, if not 20: Ray's own that were starting wait a minute for a raylet that
+is dead, then end of themselves."""
 LATE = " (too late: the training had ended)"
 
 
