@@ -36,7 +36,9 @@ def reduction(now, free):
 
 EACH = ("c_l.front", "c_l.upper", "c_l.lower")
 TASK = Task(0.5, 160, reduction, ("wake", *EACH, "amplitudes"), law=Exponential(0.1, per=5e-3), starts="any")
-LEARNING = Learning(log_std_init=-2.7)  # noise of 0.7 at a limit of 10: what turns faster costs more than it can save
+LEARNING = Learning(  # noise of 0.7 at a limit of 10: what turns faster costs more than it can save
+    log_std_init=-2.7, episodes=512, update_period=8, n_epochs=10, learning_rate=1e-3
+)
 CONTROLLERS = {
     "constant": (0.027, -0.2795, 0.2219),
     "harmonic": (0.0356, 0.0516, 0.0756, 0.3982, 0.6499, 0.8329),
