@@ -1,8 +1,8 @@
 PYTHON ?= python3
 # a test that hangs ends the run, and its stack is shown
 PATIENCE := -o faulthandler_timeout=900 -o faulthandler_exit_on_timeout=true
-# two files of tests at a time, each in its order
-PARALLEL := -n 2 --dist loadfile
+# two files of tests at a time, each in its order; then those beside which no other runs
+PYTEST = $(BIN)/python -m pytest $(PATIENCE)
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
@@ -26,10 +26,12 @@ figures: setup
 	$(BIN)/manywake figure all
 
 test: setup lint
-	$(BIN)/python -m pytest $(PATIENCE) $(PARALLEL)
+	$(PYTEST) -m "not alone" -n 2 --dist loadfile
+	$(PYTEST) -m alone
 
 test-all: setup lint
-	$(BIN)/python -m pytest $(PATIENCE) $(PARALLEL)
+	$(PYTEST) -m "not alone" -n 2 --dist loadfile
+	$(PYTEST) -m alone
 	$(BIN)/python -m pytest tests/slow
 
 lint: setup

@@ -39,9 +39,11 @@ def served(known: dict[str, Offer], port: int = 0, run: str | None = None, **oth
     finally:
         server.stop()
         thread.join(PATIENCE)
-        left = [one.name for one in threading.enumerate() if one not in before]
-        left = [name for name in left if not name.endswith(("(recv_events)", "(keepalive)"))]  # of tests' own sockets
-    assert not left, left
+        new = [one for one in threading.enumerate() if one not in before]
+        new = [one for one in new if not one.name.endswith(("(recv_events)", "(keepalive)"))]  # of tests' own sockets
+        for one in new:
+            one.join(PATIENCE)
+    assert not any(one.is_alive() for one in new), new
 
 
 def page(server: Server, key: str = KEY, origin: str | None = "", **others: Any) -> ClientConnection:

@@ -8,6 +8,8 @@ import pytest
 
 from benchmarks import scaling
 
+pytestmark = pytest.mark.alone
+
 
 def test_scaling_reports_speed_up_against_one_environment_and_no_time_is_gained_from_nothing(monkeypatch):
     monkeypatch.setattr(scaling, "SECONDS", 0.02)

@@ -8,6 +8,8 @@ import time
 
 import pytest
 
+pytestmark = pytest.mark.alone
+
 TINY = ["--episodes", "2", "--update-period", "2", "--actions", "2", "--hidden", "8"]
 
 

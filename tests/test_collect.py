@@ -17,6 +17,8 @@ from manywake.learn.rollout import context
 
 from .toy import Toy, collector, synced
 
+pytestmark = pytest.mark.alone
+
 LEARNING = Learning(
     update_period=10, episodes=40, learner_threads=1, learning_rate=3e-3, batch_size=50, n_epochs=1, hidden=(8,)
 )

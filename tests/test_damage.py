@@ -21,6 +21,8 @@ from manywake.cli import main
 
 from .external import Trap
 
+pytestmark = pytest.mark.alone
+
 SHORT = ["--actions", "2", "--update-period", "2", "--episodes", "6", "--hidden", "8", "--engine", "serial"]
 
 

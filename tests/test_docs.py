@@ -6,6 +6,8 @@ import pytest
 
 from . import pages
 
+pytestmark = pytest.mark.alone
+
 NOTEBOOK = pages.ROOT / "examples" / "tutorial.ipynb"
 
 

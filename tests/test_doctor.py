@@ -9,9 +9,12 @@ from importlib import metadata
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from manywake.cli import doctor
 from manywake.machine import compile, simd
+
+pytestmark = pytest.mark.alone
 
 
 def manywake(*words: str, **changes: str) -> subprocess.CompletedProcess:

@@ -14,6 +14,8 @@ import pytest
 
 from manywake.learn.engine import Processes, Threads, TimedOut, WorkerDied
 
+pytestmark = pytest.mark.alone
+
 
 def double(x):
     return 2 * x

@@ -25,6 +25,8 @@ from manywake.learn.settings import Collection, Settings
 
 from .test_engine import alive, gone
 
+pytestmark = pytest.mark.alone
+
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "examples" / "own_solver"
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT / "src"), str(ROOT)])}

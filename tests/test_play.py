@@ -38,6 +38,8 @@ from manywake.suite import load
 
 from .playing import KEY, NAME, PATIENCE, decoded, frame, note, offers, page, send, served, whole
 
+pytestmark = pytest.mark.alone
+
 SHORT = {"interval": 0.005, "actions": 4}
 SAVED, POWER, DRAG, BESIDE, AMPLITUDE = 2, 4, 5, 7, 9
 """Places among a frame's numbers."""

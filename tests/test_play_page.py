@@ -15,7 +15,10 @@ from manywake.suite import load
 from . import chromium
 from .playing import KEY, NAME, served
 
-pytestmark = pytest.mark.skipif(chromium.PROGRAM is None, reason="no chromium is installed; apt-get install chromium")
+pytestmark = [
+    pytest.mark.alone,
+    pytest.mark.skipif(chromium.PROGRAM is None, reason="no chromium is installed; apt-get install chromium"),
+]
 PICTURES = os.environ.get("MANYWAKE_PICTURES")
 """Folder for pictures of the page, docs/play say."""
 READY = "window.manywake && manywake() && manywake().numbers[0] > 0.5"

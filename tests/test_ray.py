@@ -26,7 +26,10 @@ from .test_engine import bad, die, hang
 from .test_runs import there_and_here
 from .toy import Toy, collector
 
-pytestmark = pytest.mark.filterwarnings("ignore")  # of Ray's own threads and sockets, at shutdown
+pytestmark = [
+    pytest.mark.alone,
+    pytest.mark.filterwarnings("ignore"),  # of Ray's own threads and sockets, at shutdown
+]
 LEARNING = Learning(
     update_period=8, episodes=24, learner_threads=1, learning_rate=3e-3, batch_size=40, n_epochs=1, hidden=(8,)
 )

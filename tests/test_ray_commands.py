@@ -13,6 +13,8 @@ import pytest
 
 from manywake.machine import compile
 
+pytestmark = pytest.mark.alone
+
 SHORT = ["--actions", "2", "--update-period", "2", "--episodes", "2", "--hidden", "8", "--workers", "2", "--json"]
 
 

@@ -32,6 +32,8 @@ from .external import case_file
 from .test_rollout import physics
 from .toy import collector
 
+pytestmark = pytest.mark.alone
+
 CHOSEN = load.choose("cylinder-jets", actions=2)
 SETTINGS = Settings(
     Learning(update_period=2, episodes=4, learner_threads=1, batch_size=4, hidden=(8,)),

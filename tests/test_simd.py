@@ -14,6 +14,8 @@ from manywake.machine import simd
 from manywake.machine.compile import kernel
 from manywake.machine.simd import add, double, fma, high, join, load, low, mul, rounded, splat, store, sub
 
+pytestmark = pytest.mark.alone
+
 widths = pytest.mark.parametrize("width", simd.WIDTHS)
 precisions = pytest.mark.parametrize("number", [np.float64, np.float32])
 finite = st.floats(min_value=-1e6, max_value=1e6, allow_nan=False, allow_subnormal=False)

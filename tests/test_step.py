@@ -105,7 +105,7 @@ def test_pictures_of_a_flow_without_bodies_show_what_it_measures(flow, tmp_path)
     whole = Trajectory(record, amplitudes, np.zeros((1, 1)), [])
     table, state = evaluate.record(flow.case, flow.baseline.shown, whole, record), batch.state(0)
     plots.wake(flow, state, state, table, "", tmp_path / "wake.png")
-    numbers = {f"{name}_second_half": np.arange(4.0) for name in record}
+    numbers = {f"{name}_second_half": np.arange(4.0) for name in record} | {"reward": np.arange(4.0)}
     episodes = numbers | {"update": np.zeros(4), "episode": np.arange(4), "wall_s": np.arange(4.0)}
     plots.learning_curve(episodes, flow.baseline, "", tmp_path / "curve.png")
     assert (tmp_path / "wake.png").exists() and (tmp_path / "curve.png").exists()

@@ -33,6 +33,8 @@ from .external import Trap
 from .toy import LEARNING as TOY_LEARNING
 from .toy import Toy
 
+pytestmark = pytest.mark.alone
+
 LEARNING = Learning(update_period=4, episodes=16, learner_threads=1, batch_size=8, n_epochs=2, hidden=(8, 8))
 LAYOUT = Layout(4, 2, 2)
 UNSYNCED = Collection(schedule="unsynced", clock="virtual", envs=6, episode_spread=0.2, update_seconds=1.0)

@@ -1,5 +1,6 @@
 """A picture of a training under way changes no bit of it."""
 
+import pytest
 import tyro
 
 from manywake.cli.runs import Resume
@@ -10,6 +11,8 @@ from manywake.learn.settings import Collection, Settings
 from manywake.learn.watch import NAME, Watch
 
 from .toy import LEARNING, Toy
+
+pytestmark = pytest.mark.alone
 
 SETTINGS = Settings(LEARNING, Collection(engine="serial"), 0)
 
