@@ -29,9 +29,7 @@ test: setup lint
 	$(PYTEST) -m "not alone" -n 2 --dist loadfile
 	$(PYTEST) -m alone
 
-test-all: setup lint
-	$(PYTEST) -m "not alone" -n 2 --dist loadfile
-	$(PYTEST) -m alone
+test-all: test
 	$(BIN)/python -m pytest tests/slow
 
 lint: setup

@@ -61,6 +61,14 @@ def update_means(table: dict[str, np.ndarray], name: str) -> tuple[np.ndarray, n
     return np.array([table["episode"][rows].max() + 1 for rows in batches]), np.array(means)
 
 
+def _of_episodes(table: dict[str, np.ndarray], name: str) -> tuple[str, str]:
+    """Return the column of episodes.csv that is drawn of a reading or the reward, and its label."""
+    half = f"{name}_second_half"
+    if half in table:
+        return half, f"{LABELS.get(name, name)}, 2nd half of episode"
+    return name, f"{LABELS.get(name, name)}, {'sum over an episode' if name == 'reward' else 'mean'}"
+
+
 def learning_curve(episodes: dict[str, np.ndarray], base: Baseline, title: str, path: Path) -> None:
     """Draw readings and reward of the exploring episodes against episodes and wall time.
 
@@ -73,17 +81,16 @@ def learning_curve(episodes: dict[str, np.ndarray], base: Baseline, title: str, 
     along = (episodes["episode"] + 1, "episodes"), (episodes["wall_s"] / 60, "wall time [min]")
     for column, (x, label) in enumerate(along):
         for row, name in enumerate(names):
-            axis, y = axes[row, column], name if name == "reward" else f"{name}_second_half"
+            axis, (y, of) = axes[row, column], _of_episodes(episodes, name)
             axis.plot(x, episodes[y], ".", color=CONTROLLED, alpha=0.3, markersize=5, mew=0, label="an episode")
             axis.plot(x[ends], update_means(episodes, y)[1], color=CONTROLLED, lw=2, label="mean of an update")
-            if name != "reward":
+            if name in base.free:
                 axis.axhline(base.free[name], **FREE)
                 axis.axhline(base.steady[name], **STEADY)
             axis.set(xlabel=label if row == len(names) - 1 else "")
             axis.grid(alpha=0.25)
             if not column:
-                over = "sum over an episode" if name == "reward" else "2nd half of episode"
-                axis.set_ylabel(f"{LABELS.get(name, name)}, {over}")
+                axis.set_ylabel(of)
     figure.legend(*axes[0, 0].get_legend_handles_labels(), ncols=4, loc="outside lower center", fontsize=9)
     figure.align_ylabels(axes)
     _save(figure, path)
@@ -200,12 +207,11 @@ def watch(table: dict[str, np.ndarray], newest: dict[str, np.ndarray], title: st
     grid = figure.add_gridspec(1, 2)
     left, right = (figure.add_subfigure(part) for part in (grid[0], grid[1]))
     curve, name = left.subplots(), next(iter(newest))
-    column = f"{name}_second_half" if f"{name}_second_half" in table else name
+    column, of = _of_episodes(table, name)
     if column in table:
         curve.plot(table["episode"] + 1, table[column], ".", color=CONTROLLED, alpha=0.3, markersize=5, mew=0)
         curve.plot(*update_means(table, column), color=CONTROLLED, lw=2)
-    what = "2nd half of episode" if column != name else "sum over an episode" if name == "reward" else "mean"
-    curve.set(xlabel="episodes", ylabel=f"{LABELS.get(name, name)}, {what}")
+    curve.set(xlabel="episodes", ylabel=of)
     axes = right.subplots(len(newest), 1, sharex=True, squeeze=False)[:, 0]
     for axis, (series, values) in zip(axes, newest.items(), strict=True):
         axis.plot(np.arange(len(values)) + 1, values, color=CONTROLLED, lw=1.2)

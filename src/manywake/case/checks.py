@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from manywake.case.conditions import Free, FreeSlip, NoSlip, Outflow
-from manywake.case.geometry import Smooth, distance, inside, outline
+from manywake.case.geometry import distance, inside, outline
 from manywake.case.inputs import Noise
 from manywake.case.sensors import RESERVED, Energy, Probes, Shear
 
@@ -98,7 +98,7 @@ def _check_bodies(case: Any) -> None:
         xy = outline(body)
         if not np.isfinite(xy).all():
             raise ValueError(f"body {body.name!r}: got points that are not finite")
-        gap = np.linalg.norm(np.diff(body.point(np.array([0.0, 360.0])), axis=0)) if isinstance(body, Smooth) else 0.0
+        gap = 0.0 if body.straight else np.linalg.norm(np.diff(body.point(np.array([0.0, 360.0])), axis=0))
         if gap > CLOSED * np.ptp(xy, axis=0).max():
             raise ValueError(
                 f"body {body.name!r}: got a curve whose ends are {gap:g} apart, wanted one that closes, whose function "
@@ -225,9 +225,9 @@ def _check_place(case: Any, given: Any) -> None:
         raise ValueError(f"{kind}: {on!r} {what}, wanted a wall, where the velocity is given")
     if given.acts == "piece" and (on in bodies or pieces[on] > 1):
         raise ValueError(f"{kind}: got {on!r}, wanted a single part of a body or a side, where it can blow")
-    if given.acts == "body" and on not in bodies:
-        raise ValueError(f"{kind}: got {on!r}, wanted the name of a body, as a whole")
     if given.acts == "body":
+        if on not in bodies:
+            raise ValueError(f"{kind}: got {on!r}, wanted the name of a body, as a whole")
         _check_turning(case.body(on), given)
     if given.acts == "side":
         _check_gust(case, given, list(sides))

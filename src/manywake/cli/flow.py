@@ -119,6 +119,7 @@ class Baseline(OnCase):
 
     def run(self) -> int:
         from manywake.flow import baseline, store
+        from manywake.flow.readings import KINDS
 
         case = self.flow()
         with Bar() as bar:
@@ -141,6 +142,7 @@ class Baseline(OnCase):
             for kind in ("held", "smooth"):
                 described[f"{actuator.on} withstood, {kind}"] = actuator.strongest * getattr(base.withstood, kind)
         if len(case.bodies) == 1 and not self.json:  # the one body has the readings of all
-            described = {name: of for name, of in described.items() if not name.startswith(("c_d.", "c_l.", "c_m."))}
+            of_one = tuple(f"{kind}." for kind in KINDS)
+            described = {name: of for name, of in described.items() if not name.startswith(of_one)}
         numbers(described, self.json)
         return 0

@@ -154,7 +154,8 @@ def titled(folder: Path) -> str:
     described = json.loads(path.read_text())
     simulation, words = described["simulation"], []
     if "task" in simulation:
-        words.append(f"reward {simulation['task']['reward']['name']}".replace("reward reward", "a reward of its own"))
+        reward = simulation["task"]["reward"]["name"]
+        words.append("a reward of its own" if reward == "reward" else f"reward {reward}")
     name = simulation.get("name") or simulation.get("env") or simulation["kind"]
     return ", ".join((name, *words, f"seed {described['seed']}"))
 
