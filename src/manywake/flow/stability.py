@@ -36,6 +36,8 @@ SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.2, 0.1)
 """Shares of the strengths that are tried, until no flow blows up."""
 WINDOW = 0.5
 """Time over which the readings of forced flows are averaged, in L / U."""
+SAMPLES = 1200
+"""Most of those averages that are kept, spread evenly over flows and times."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Withstood:
     """What no flow blew up under, as shares of the actuators' strengths, and how forced flows read.
 
     held: waves that jump. smooth: waves that rise within `RISE`. names, samples: (windows, readings), of the forced
-    flows, averaged over `WINDOW` each.
+    flows, averaged over `WINDOW` each; at most `SAMPLES` of them.
     """
 
     held: float
@@ -154,6 +156,7 @@ def withstood(case: Case, ops: Operators, starts: list[Start], shedding: float |
     names = tuple(seen[0]) if seen else ()
     samples = [np.concatenate([part[name].ravel() for part in seen]) for name in names]
     table = np.stack(samples, axis=1) if seen else np.zeros((0, 0))
+    table = table[np.linspace(0, len(table) - 1, min(len(table), SAMPLES)).round().astype(int)]
     return Withstood(survived.get("held", 0.0), survived.get("smooth", 0.0), names, table.astype(np.float32))
 
 
