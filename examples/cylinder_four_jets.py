@@ -2,8 +2,8 @@
 """The channel's cylinder with four jets and a Reynolds number of each episode's own (Tang et al. 2020).
 
 Units as of cylinder-jets: 10 D, the mean inflow U. One mesh serves Re 100 to 400; the agent is not told which it is.
-Four baselines are made at the first use, an hour of one core. At steps of 1e-3 no more than 0.0052 was withstood at Re
-100, so the step is half of that. No baseline was made with it yet, and nothing was trained.
+Four baselines are made at the first use, some 40 minutes of one core each: at Re 400 the strong jets want small steps.
+The layers are as at Re 100, as thinner ones want smaller steps still (docs/mesh-and-stability.md). Nothing was trained.
 """
 
 from manywake import *
@@ -22,8 +22,8 @@ CASE = replace(
     bodies=(Circle("cylinder", (0.0, 0.0), R, parts=JETS),),
     actuators=tuple(Jet(f"cylinder.{name}", limit=0.008) for name in JETS),
     sensors=(Pressure("pressure", PROBES),),
-    sizes=channel.SIZES,
-    time_step=5e-4,
+    sizes=Sizes(body=0.045, part_facets=2, layers=3, wake=0.113, wake_axis=0.005),
+    time_step=2.5e-4,
 )
 
 

@@ -266,6 +266,9 @@ def _episode(definition: Definition, base: Baseline) -> list[str]:
         ["end", "`truncated` after the last action"],
         ["a flow that blows up", "`terminated`, with `Task.charge` as its reward"],
     ]
+    if task.reynolds_numbers:
+        numbers = ", ".join(f"{re:g}" for re in task.reynolds_numbers)
+        rows.insert(3, ["Reynolds number", f"drawn by the seed from {numbers}; not observed"])
     if base.statistics.period:
         rows.insert(3, ["length in periods of the uncontrolled flow", f"{long / base.statistics.period:.1f}"])
     return ["## Episode", "", *_table(["what", "value"], rows)]

@@ -21,9 +21,9 @@ LONGEST = 50.0
 
 
 def film(name: str) -> None:
-    """Film the policy that ships with a flow."""
+    """Film the policy that ships with a flow, of several Reynolds numbers at the last."""
     simulation = flows.open_flows(load.choose(name))
-    task, flow = simulation.task, simulation.flows[0]
+    task, flow = simulation.task, simulation.flows[-1]
     actions = min(task.actions, round(LONGEST * flow.case.convective_time / task.interval))
     movie.movie(flow, task, api.controller_of(simulation, "pretrained"), FOLDER / f"{name}.mp4", actions)
 
