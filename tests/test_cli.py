@@ -68,6 +68,21 @@ def test_a_training_stopped_by_ctrl_c_says_how_to_resume_and_resumes(tmp_path):
     assert json.loads(done.stdout.splitlines()[-1])["episodes"] == 8
 
 
+def test_an_evaluation_stopped_by_ctrl_c_does_not_play_to_its_end(tmp_path):
+    (tmp_path / "mine.py").write_text(
+        "from pathlib import Path\n\n\ndef still(observation, info):\n"
+        "    Path('plays').touch()\n    return [0.0]\n"
+    )
+    words = [sys.executable, "-m", "manywake.cli", "evaluate", "--controller", "mine:still", "--actions", "1000000"]
+    with subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
+        while not (tmp_path / "plays").exists() and process.poll() is None:
+            time.sleep(0.005)
+        process.send_signal(signal.SIGINT)
+        text = process.communicate(timeout=60)[1]
+    assert process.returncode == 130, text
+    assert text.split()[-1] == "stopped"
+
+
 def test_protocol_sets_the_defaults_that_options_then_override(tmp_path):
     done = manywake("train", "--protocol", "paper", "--run", str(tmp_path / "run"), *TINY)
     assert done.returncode == 0, done.stderr

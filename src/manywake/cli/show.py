@@ -1,8 +1,10 @@
 """What the commands show: bars while something long goes on, tables of numbers, JSON as the last line."""
 
 import json
+import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
@@ -105,6 +107,9 @@ def ending(work: Callable[[], int]) -> None:
         if not _interrupted(error):
             raise
         say("stopped")
+        if any(not thread.daemon for thread in threading.enumerate() if thread is not threading.main_thread()):
+            sys.stdout.flush()
+            os._exit(130)  # a thread that still plays would be waited for, and none can be stopped
         sys.exit(130)
     except (ValueError, RuntimeError, OSError) as error:
         console.print("[red]error:[/] ", end="")

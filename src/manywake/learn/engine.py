@@ -57,7 +57,7 @@ class Engine(Protocol):
 class Threads:
     """Threads of this process: the kernels release the interpreter lock. `Threads(1)` is the serial engine.
 
-    A thread cannot be stopped, so `timeout` is not kept.
+    A thread cannot be stopped, so `timeout` is not kept, and what still plays at `close` plays on unheard.
     """
 
     keeps_time = False
@@ -73,7 +73,7 @@ class Threads:
         return self._pool.submit(fn, *args)
 
     def close(self) -> None:
-        self._pool.shutdown(cancel_futures=True)
+        self._pool.shutdown(wait=False, cancel_futures=True)
 
 
 class Processes:
