@@ -70,8 +70,7 @@ def test_a_training_stopped_by_ctrl_c_says_how_to_resume_and_resumes(tmp_path):
 
 def test_an_evaluation_stopped_by_ctrl_c_does_not_play_to_its_end(tmp_path):
     (tmp_path / "mine.py").write_text(
-        "from pathlib import Path\n\n\ndef still(observation, info):\n"
-        "    Path('plays').touch()\n    return [0.0]\n"
+        "from pathlib import Path\n\n\ndef still(observation, info):\n    Path('plays').touch()\n    return [0.0]\n"
     )
     words = [sys.executable, "-m", "manywake.cli", "evaluate", "--controller", "mine:still", "--actions", "1000000"]
     with subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
