@@ -94,6 +94,14 @@ def test_protocol_sets_the_defaults_that_options_then_override(tmp_path):
     assert settings["learning"]["learning_rate_end"] == 1e-3
 
 
+def test_a_mesh_is_drawn_without_a_baseline(tmp_path):
+    done = manywake("mesh", "--case", "pinball", "-o", str(tmp_path / "mesh.png"), "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert (found["triangles"], found["time step"]) == (3352, 0.0025)
+    assert (tmp_path / "mesh.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_baseline_describes_the_shipped_case():
     done = manywake("baseline", "--json")
     assert done.returncode == 0, done.stderr

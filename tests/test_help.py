@@ -45,7 +45,7 @@ def test_no_option_is_without_a_sentence(words):
 def test_the_words_bring_out_all_commands():
     every = {command for words in WORDS for command in commands(words)}
     assert {"train", "resume", "evaluate", "replay", "compare", "search", "movie", "export", "doctor"} <= every
-    assert {"validate", "baseline", "figure", "bench"} <= every
+    assert {"validate", "mesh", "baseline", "figure", "bench"} <= every
 
 
 def test_times_and_limits_have_units():

@@ -30,6 +30,18 @@ def record(steps: int = 400) -> dict[str, np.ndarray]:
     return evaluate.record(CASE, ("c_d", "c_l"), whole, free)
 
 
+def test_a_mesh_is_drawn_whole_and_at_its_bodies_with_all_that_acts_and_measures(shipped, drawn, tmp_path):
+    plots.mesh(CASE, shipped.baseline.mesh, "a case", tmp_path / "mesh.png")
+    (figure,) = drawn
+    whole, near = figure.get_axes()
+    assert [*whole.get_xlim(), *whole.get_ylim()] == pytest.approx([-0.2, 2.0, -0.2, 0.21])
+    assert [*near.get_xlim(), *near.get_ylim()] == pytest.approx([-0.1, 0.1, -0.1, 0.1])
+    named = [text.get_text() for text in whole.get_legend().get_texts()]
+    assert named == ["Jet cylinder.top", "Jet cylinder.bottom", "pressure", "velocity"]
+    sides = {len(line.get_xdata()) for line in near.get_lines()}
+    assert len(CASE.sensors[0].points) in sides and max(sides) >= 3 * len(shipped.baseline.mesh.triangles) // 2
+
+
 def test_the_wake_is_drawn_in_diameters_and_its_title_has_reynolds_number_and_time(shipped, drawn, tmp_path):
     start = shipped.baseline.start
     plots.wake(shipped, start, start, record(), "a case, seed 3, Re 100", tmp_path / "wake.png")

@@ -22,6 +22,7 @@ LIKE = (
     ("export", []),
     ("export-policy", []),
     ("validate", ["validate"]),
+    ("mesh", ["mesh"]),
     ("baseline", ["baseline"]),
     ("play", []),
     ("doctor", []),

@@ -1,4 +1,4 @@
-"""Every picture: the wake with its series; learning curves of one run, of several, and of one under way."""
+"""Every picture: the mesh; the wake with its series; learning curves of one run, of several, and of one under way."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,8 +15,11 @@ from matplotlib.patches import Polygon
 
 from manywake.case.case import Case
 from manywake.case.geometry import Circle, outline
+from manywake.case.sensors import Probes
+from manywake.env.scene import lines
 from manywake.flow.baseline import Baseline
 from manywake.flow.batch import Start
+from manywake.flow.mesh import Mesh
 from manywake.flow.raster import Raster, framed
 from manywake.flow.store import Flow
 from manywake.machine import disk
@@ -93,6 +96,35 @@ def learning_curve(episodes: dict[str, np.ndarray], base: Baseline, title: str, 
                 axis.set_ylabel(of)
     figure.legend(*axes[0, 0].get_legend_handles_labels(), ncols=4, loc="outside lower center", fontsize=9)
     figure.align_ylabels(axes)
+    _save(figure, path)
+
+
+def mesh(case: Case, made: Mesh, title: str, path: Path) -> None:
+    """Draw a mesh whole, and around its bodies, with what acts on the flow and what is measured."""
+    (left, low), (right, high) = made.points.min(axis=0), made.points.max(axis=0)
+    views = [((left, right), (low, high))]
+    if case.bodies:
+        around = np.concatenate([outline(body) for body in case.bodies])
+        (left, low), (right, high), room = around.min(axis=0), around.max(axis=0), 0.5 * case.scales.length
+        views.append(((left - room, right + room), (low - room, high + room)))
+    shapes = [max(float(np.ptp(y) / np.ptp(x)), 0.15) for x, y in views]
+    figure = _figure(11, sum(min(10 * shape, 7) for shape in shapes) + 1.4, title)
+    axes = figure.subplots(len(views), 1, height_ratios=[min(shape, 0.7) for shape in shapes], squeeze=False)[:, 0]
+    for axis, (x, y) in zip(axes, views, strict=True):
+        axis.triplot(*made.points.T, made.triangles, color=REFERENCE, lw=0.3)
+        for body in case.bodies:
+            axis.add_patch(Polygon(outline(body), facecolor="#dddddd", edgecolor="black", lw=0.6, zorder=2))
+        for k, given in enumerate(case.inputs):
+            for n, line in enumerate(lines(case, given)):
+                named = {"label": f"{type(given).__name__} {given.on}"} if n == 0 else {}
+                axis.plot(*line.T, color=COLOURS[k % len(COLOURS)], lw=2.5, **named)
+        for k, sensor in enumerate(sensor for sensor in case.sensors if isinstance(sensor, Probes)):
+            axis.plot(
+                *np.array(sensor.points).T, "o+x"[k % 3], color=CONTROLLED, ms=3 + 2 * k, mfc="none", label=sensor.name
+            )
+        axis.set(xlabel="x", ylabel="y", xlim=x, ylim=y, aspect="equal" if np.ptp(y) > 0.15 * np.ptp(x) else "auto")
+    if axes[-1].get_legend_handles_labels()[0]:
+        axes[0].legend(ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=9, borderpad=0.1)
     _save(figure, path)
 
 

@@ -111,6 +111,24 @@ class Validate(OnCase):
 
 
 @dataclass(frozen=True)
+class Mesh(OnCase):
+    """Draw the mesh of a case, whole and at its bodies, with actuators and sensors; no baseline is made for it."""
+
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE")] = Path("mesh.png")
+    """The picture, PNG."""
+
+    def run(self) -> int:
+        from manywake import plots
+        from manywake.flow import store
+
+        case = self.flow()
+        made = store.mesh(case)
+        plots.mesh(case, made, f"{self.case}: {len(made.triangles)} triangles", self.output)
+        numbers({"file": str(self.output), "triangles": len(made.triangles), "time step": case.dt}, self.json)
+        return 0
+
+
+@dataclass(frozen=True)
 class Baseline(OnCase):
     """Describe the baseline of a case (mesh, start state, mean flow), check its hash, or make it again."""
 

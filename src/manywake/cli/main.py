@@ -13,7 +13,7 @@ from manywake.cli import show
 from manywake.cli.comparing import Compare
 from manywake.cli.doctor import Doctor
 from manywake.cli.exports import Export, ExportCase, ExportPolicy, Movie, MovieCase
-from manywake.cli.flow import Baseline, Validate, command, first
+from manywake.cli.flow import Baseline, Mesh, Validate, command, first
 from manywake.cli.playing import Play
 from manywake.cli.runs import Evaluate, EvaluateController, GivenLearning, Replay, Resume, Search, Train
 from manywake.suite import load
@@ -55,11 +55,12 @@ def _of_no_run(words: list[str]) -> bool:
 def _commands(words: list[str]) -> Any:
     """Return all commands; those that take a case with the settings of the one that the words name."""
     plays = words[:1] in (["train"], ["search"]) or _of_no_run(words)
-    asked = first(words[1:] if plays or words[:1] in (["validate"], ["baseline"]) else [])
+    asked = first(words[1:] if plays or words[:1] in (["validate"], ["baseline"], ["mesh"]) else [])
     definition = load.load(asked.case)
     commands: tuple[Any, ...] = (
         command(Validate, definition, case=asked.case),
         command(Baseline, definition, case=asked.case),
+        command(Mesh, definition, case=asked.case),
         *(Resume, Replay, Compare, ExportPolicy, Doctor, Play, Figure, Bench),
     )
     if not _of_no_run(words):

@@ -13,6 +13,7 @@ from platformdirs import user_cache_path
 from manywake.case import describe
 from manywake.case.case import Case
 from manywake.flow import baseline, problem
+from manywake.flow import mesh as meshes
 from manywake.flow.baseline import FORMAT, Baseline, Progress
 from manywake.flow.batch import Start
 from manywake.flow.mesh import Mesh
@@ -72,6 +73,11 @@ def get(case: Case, progress: Progress | None = None) -> Baseline:
         if not path.exists():
             baseline.save(baseline.make(case, _mesh(case), progress), path)
     return baseline.load(path, case)
+
+
+def mesh(case: Case) -> Mesh:
+    """Return a case's mesh: that of a baseline on its geometry, shipped or cached, else one that is made now."""
+    return _mesh(case) or meshes.build(case)
 
 
 def _mesh(case: Case) -> Mesh | None:
