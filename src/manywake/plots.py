@@ -122,6 +122,7 @@ def mesh(case: Case, made: Mesh, title: str, path: Path) -> None:
             axis.plot(
                 *np.array(sensor.points).T, "o+x"[k % 3], color=CONTROLLED, ms=3 + 2 * k, mfc="none", label=sensor.name
             )
+        axis.locator_params(nbins=5)
         axis.set(xlabel="x", ylabel="y", xlim=x, ylim=y, aspect="equal" if np.ptp(y) > 0.15 * np.ptp(x) else "auto")
     if axes[-1].get_legend_handles_labels()[0]:
         axes[0].legend(ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=9, borderpad=0.1)
