@@ -82,7 +82,7 @@ def test_episodes_of_the_step_are_functions_of_their_seeds(flow):
 
 
 def test_a_reward_sees_the_mean_over_the_action_and_the_agent_the_flow_as_it_is(flow):
-    flows = ControlledFlows(flow, TASK, 2)
+    flows = ControlledFlows(flow, replace(TASK, observe=("gauge",), history=1), 2)
     flows.reset(range(2), [3, 4])
     assert (flows.observe()[:, 0] == flows.batch.read("gauge")[:, 0].astype(np.float32)).all()
     outcome = flows.act(np.zeros((2, 1)))

@@ -1,0 +1,16 @@
+"""One line against the noise of the step: the slot answers what passes the probe before it.
+
+manywake evaluate --case step --controller examples.feedforward:from_lip
+
+The line is what least squares make of the flow's response to a short push of the slot, held against what eight flows
+without control did; docs/controllers.md says how.
+"""
+
+GAIN = 24.0
+"""Of the limit for a velocity of 1: twice what least squares give, as the flow answers less than in proportion."""
+
+
+def from_lip(observation, info):
+    """Blow as the velocity at the probe has grown over the last three actions; u and v of four actions are seen."""
+    oldest, newest = observation[0], observation[6]
+    return [min(max(GAIN * float(newest - oldest), -1.0), 1.0)]
