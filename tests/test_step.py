@@ -4,6 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+from examples.feedforward import GAIN, from_lip
 from manywake import plots
 from manywake.case import replace
 from manywake.env.control import ControlledFlows
@@ -90,6 +91,15 @@ def test_a_reward_sees_the_mean_over_the_action_and_the_agent_the_flow_as_it_is(
     assert outcome.reward[0] == 1.0 - outcome.means["energy"][0] / flow.baseline.free["energy"]
     assert (flows.observe()[:, 0] == outcome.series["gauge"][-1].astype(np.float32)).all()
     assert (outcome.series["gauge"][-1] != outcome.means["gauge"]).all()
+
+
+def test_the_line_on_the_probe_reads_what_it_says(flow):
+    flows, seen = ControlledFlows(flow, TASK, 1), []
+    for _ in range(4):
+        flows.act(np.zeros((1, 1)))
+        seen.append(float(flows.batch.read("lip")[0, 0]))
+    assert from_lip(flows.observe()[0], {}) == pytest.approx([GAIN * (seen[-1] - seen[0])], abs=1e-4)
+    assert from_lip(np.arange(8.0), {}) == [1.0] and from_lip(-np.arange(8.0), {}) == [-1.0]
 
 
 def test_the_step_has_an_id_and_its_readings_stand_in_the_info():
