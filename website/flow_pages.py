@@ -96,7 +96,7 @@ def _shown(name: str) -> list[str]:
     if film.exists():
         return [
             f'<video controls muted loop playsinline preload="none" poster="{name}.png" src="{name}.mp4"',
-            f'  aria-label="{name}: uncontrolled above, the shipped policy below, drag and lift"></video>',
+            f'  aria-label="{name}: uncontrolled above, the shipped policy below, two readings over time"></video>',
             "",
             "The vorticity of the uncontrolled flow above, of the controlled one below. Red turns counter-clockwise.",
             "",
