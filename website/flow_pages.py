@@ -227,8 +227,8 @@ def _observed(case: Case, task: Task) -> list[str]:
 
 def _sensor(sensor: Sensor) -> tuple[str, str]:
     if isinstance(sensor, Probes):
-        both = "u and v of each of" if sensor.field == "velocity" else "pressure at"
-        return f"{both} {len(sensor.points)} points", sensor.unit
+        both, count = "u and v at" if sensor.field == "velocity" else "pressure at", len(sensor.points)
+        return f"{both} {'one point' if count == 1 else f'each of {count} points'}", sensor.unit
     if isinstance(sensor, Shear):
         return f"wall shear, integrated over `{sensor.on}`", sensor.unit
     assert isinstance(sensor, Energy)
