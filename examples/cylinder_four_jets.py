@@ -2,8 +2,9 @@
 """The channel's cylinder with four jets and a Reynolds number of each episode's own (Tang et al. 2020).
 
 Units as of cylinder-jets: 10 D, the mean inflow U. One mesh serves Re 100 to 400; the agent is not told which it is.
-Four baselines are made at the first use, some 40 minutes of one core each: at Re 400 the strong jets want small steps.
-The layers are as at Re 100, as thinner ones want smaller steps still (docs/mesh-and-stability.md). Nothing was trained.
+Four baselines are made at the first use. None was finished yet: each takes more than half an hour of a core, as strong
+jets want small steps at Re 400, and it may withstand less than 0.008. Nothing was trained. The layers are as at Re 100,
+as thinner ones want smaller steps still (docs/mesh-and-stability.md).
 """
 
 from manywake import *

@@ -9,7 +9,7 @@ from scipy import stats
 
 from manywake.case import Pressure
 from manywake.case.describe import flow_digest
-from manywake.flow import baseline, problem, spinup, statistics, store
+from manywake.flow import baseline, problem, spinup, stability, statistics, store
 from manywake.flow import batch as batches
 from manywake.flow.batch import FlowBatch
 from manywake.suite import load
@@ -42,6 +42,7 @@ def test_shipped_baselines_match_their_hash_and_their_case(name):
     with np.load(path) as data:
         assert loaded.digest() == json.loads(str(data["description"]))["digest"]
     assert loaded.flow_digest == flow_digest(chosen)
+    assert len(loaded.withstood.samples) <= stability.SAMPLES
     assert loaded.mean.shape == loaded.start.u.shape
     sides = {side.name for side in chosen.domain.sides()}
     pieces = {piece.name for body in chosen.bodies for piece in body.pieces()}

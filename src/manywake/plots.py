@@ -35,6 +35,8 @@ FREE: dict[str, Any] = {"color": UNCONTROLLED, "lw": 1.0, "label": "uncontrolled
 LABELS = {"c_d": "$C_D$", "c_l": "$C_L$"}
 PIXELS = 1000
 """Of a field, from left to right."""
+SLIM = 0.15
+"""Least height of a mesh by its width; a longer one is stretched across."""
 SETTLED = 0.125
 """Share of a run after which its start does not decide the range of an axis."""
 
@@ -107,10 +109,10 @@ def mesh(case: Case, made: Mesh, title: str, path: Path) -> None:
         around = np.concatenate([outline(body) for body in case.bodies])
         (left, low), (right, high), room = around.min(axis=0), around.max(axis=0), 0.5 * case.scales.length
         views.append(((left - room, right + room), (low - room, high + room)))
-    shapes = [max(float(np.ptp(y) / np.ptp(x)), 0.15) for x, y in views]
-    figure = _figure(11, sum(min(10 * shape, 7) for shape in shapes) + 1.4, title)
-    axes = figure.subplots(len(views), 1, height_ratios=[min(shape, 0.7) for shape in shapes], squeeze=False)[:, 0]
-    for axis, (x, y) in zip(axes, views, strict=True):
+    heights = [min(max(float(np.ptp(y) / np.ptp(x)), SLIM), 0.7) for x, y in views]
+    figure = _figure(11, 10 * sum(heights) + 1.4, title)
+    axes = figure.subplots(len(views), 1, height_ratios=heights, squeeze=False)[:, 0]
+    for axis, height, (x, y) in zip(axes, heights, views, strict=True):
         axis.triplot(*made.points.T, made.triangles, color=REFERENCE, lw=0.3)
         for body in case.bodies:
             axis.add_patch(Polygon(outline(body), facecolor="#dddddd", edgecolor="black", lw=0.6, zorder=2))
@@ -123,7 +125,7 @@ def mesh(case: Case, made: Mesh, title: str, path: Path) -> None:
                 *np.array(sensor.points).T, "o+x"[k % 3], color=CONTROLLED, ms=3 + 2 * k, mfc="none", label=sensor.name
             )
         axis.locator_params(nbins=5)
-        axis.set(xlabel="x", ylabel="y", xlim=x, ylim=y, aspect="equal" if np.ptp(y) > 0.15 * np.ptp(x) else "auto")
+        axis.set(xlabel="x", ylabel="y", xlim=x, ylim=y, aspect="equal" if height > SLIM else "auto")
     if axes[-1].get_legend_handles_labels()[0]:
         axes[0].legend(ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=9, borderpad=0.1)
     _save(figure, path)

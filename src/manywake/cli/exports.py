@@ -8,12 +8,12 @@ import tyro
 
 from manywake.cli import show
 from manywake.cli.runs import OnController, OnRun, of_flow
-from manywake.cli.show import Bar, Json, say
+from manywake.cli.show import Bar, Json, Output, say
 from manywake.learn import flows
 from manywake.learn.controllers import Controller, Learnt
 from manywake.learn.runs import Run
 
-Output = Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="DIR")]
+Folder = Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="DIR")]
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Export(OnRun):
     options.
     """
 
-    output: Output = None
+    output: Folder = None
     """Folder for the files; default RUN/paraview."""
     actions: int | None = None
     """How many are played; an episode's when not given."""
@@ -43,7 +43,7 @@ class Export(OnRun):
 class ExportCase(OnController):
     """Play one episode of a controller of no run, and write it as files for ParaView."""
 
-    output: Output = None
+    output: Folder = None
     """Folder for the files; default paraview-<case>."""
     every: int = 1
     """Actions from one frame to the next."""
@@ -56,9 +56,6 @@ class ExportCase(OnController):
         return _written(simulation, controller, folder, None, self.every, self.json)
 
 
-Film = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE")]
-
-
 @dataclass(frozen=True)
 class Movie(OnRun):
     """Film one episode of a run's newest policy, without noise, below the flow uncontrolled.
@@ -67,7 +64,7 @@ class Movie(OnRun):
     options.
     """
 
-    output: Film = Path("wake.mp4")
+    output: Output = Path("wake.mp4")
     """The file, .mp4 or .gif."""
     actions: int | None = None
     """How many are played; an episode's when not given."""
@@ -83,7 +80,7 @@ class Movie(OnRun):
 class MovieCase(OnController):
     """Film one episode of a controller of no run below the flow uncontrolled."""
 
-    output: Film = Path("wake.mp4")
+    output: Output = Path("wake.mp4")
     """The file, .mp4 or .gif."""
 
     def run(self) -> int:

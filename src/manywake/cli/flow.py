@@ -1,4 +1,4 @@
-"""Commands on a case, whose settings are their options; manywake validate, manywake baseline."""
+"""Commands on a case, whose settings are their options; manywake validate, mesh, baseline."""
 
 import argparse
 import dataclasses
@@ -13,7 +13,7 @@ from rich.table import Table
 
 from manywake.case import task as tasks
 from manywake.case.case import Case
-from manywake.cli.show import Bar, Json, numbers
+from manywake.cli.show import Bar, Json, Output, numbers
 from manywake.suite import load
 from manywake.suite.load import Chosen, Definition, Setting
 
@@ -114,7 +114,7 @@ class Validate(OnCase):
 class Mesh(OnCase):
     """Draw the mesh of a case, whole and at its bodies, with actuators and sensors; no baseline is made for it."""
 
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE")] = Path("mesh.png")
+    output: Output = Path("mesh.png")
     """The picture, PNG."""
 
     def run(self) -> int:

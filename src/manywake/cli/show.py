@@ -6,6 +6,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
@@ -23,6 +24,7 @@ LINES = 20
 """Of a training's progress in a file."""
 
 Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object as the last line.")]
+Output = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE")]
 
 
 class Bar(Progress):
